@@ -195,6 +195,7 @@ class Delivery(_Sent):
     attempts: int = 0
     status_code: int | None = None
     detail: str = ""
+    next_attempt_at: datetime | None = None
     created_at: datetime | None = None
     updated_at: datetime | None = None
 

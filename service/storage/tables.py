@@ -64,6 +64,15 @@ def _id() -> Mapped[str]:
     return mapped_column(ID, primary_key=True)
 
 
+def _listed(table: str) -> tuple[Index, ...]:
+    """Indices of a table whose pages are in the order in which its rows were made, of one rig or of all."""
+    made = ("created_at", "id")
+    return (
+        Index(f"ix_{table}_created_at_id", *made),
+        Index(f"ix_{table}_rig_id_created_at_id", "rig_id", *made),
+    )
+
+
 def _reference(to: str, nullable: bool = False, index: bool = True) -> Mapped[Any]:
     return mapped_column(ID, ForeignKey(to), nullable=nullable, index=index)
 
@@ -104,9 +113,10 @@ class ExperimentRow(Base):
     """An experiment file, measured or uploaded."""
 
     __tablename__ = "experiments"
+    __table_args__ = _listed(__tablename__)
 
     id: Mapped[str] = _id()
-    rig_id: Mapped[str] = _reference("rigs.id")
+    rig_id: Mapped[str] = _reference("rigs.id", index=False)
     rig_version: Mapped[int] = mapped_column(Integer)
     job_id: Mapped[str | None] = mapped_column(ID, index=True)
     source: Mapped[str] = mapped_column(String(20))
@@ -128,9 +138,10 @@ class ModelRow(Base):
     """An identified model."""
 
     __tablename__ = "models"
+    __table_args__ = _listed(__tablename__)
 
     id: Mapped[str] = _id()
-    rig_id: Mapped[str] = _reference("rigs.id")
+    rig_id: Mapped[str] = _reference("rigs.id", index=False)
     rig_version: Mapped[int] = mapped_column(Integer)
     experiment_id: Mapped[str] = _reference("experiments.id")
     job_id: Mapped[str | None] = mapped_column(ID, index=True)
@@ -147,9 +158,10 @@ class GapRow(Base):
     """A gap diagnosis."""
 
     __tablename__ = "gaps"
+    __table_args__ = _listed(__tablename__)
 
     id: Mapped[str] = _id()
-    rig_id: Mapped[str] = _reference("rigs.id")
+    rig_id: Mapped[str] = _reference("rigs.id", index=False)
     rig_version: Mapped[int] = mapped_column(Integer)
     experiment_id: Mapped[str] = _reference("experiments.id")
     job_id: Mapped[str | None] = mapped_column(ID, index=True)
@@ -164,9 +176,10 @@ class HealthRow(Base):
     """A health check: a short experiment compared with the baseline model."""
 
     __tablename__ = "health_checks"
+    __table_args__ = _listed(__tablename__)
 
     id: Mapped[str] = _id()
-    rig_id: Mapped[str] = _reference("rigs.id")
+    rig_id: Mapped[str] = _reference("rigs.id", index=False)
     rig_version: Mapped[int] = mapped_column(Integer)
     experiment_id: Mapped[str] = _reference("experiments.id")
     model_id: Mapped[str] = _reference("models.id")

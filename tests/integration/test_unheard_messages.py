@@ -39,9 +39,12 @@ def test_jobs_are_done_one_after_the_other_on_a_rig_while_messages_wait(tmp_path
             rig_id = running.add_rig(reference_sheet(), rig.url)
             schedule = unheard(running.home, rig_id)
 
-            def attempts():
+            def pending():
                 found = running.get(f"/schedules/{schedule}/deliveries", params={"limit": 1000})["items"]
-                return [message["attempts"] for message in found if message["state"] == "pending"]
+                return [message for message in found if message["state"] == "pending"]
+
+            def attempts():
+                return [message["attempts"] for message in pending()]
 
             wait_for(lambda: sum(map(bool, attempts())) >= 64, "first attempts", 60)
             jobs = [running.submit("experiment", rig_id, options={"profile": QUICK, "identify": False}) for _ in "ab"]
@@ -49,6 +52,7 @@ def test_jobs_are_done_one_after_the_other_on_a_rig_while_messages_wait(tmp_path
                 running.done(job)
             wait_for(lambda: min(attempts()) >= 2, "second attempts", 120)
             assert len(attempts()) == MANY
+            assert all(message["next_attempt_at"] > message["updated_at"] for message in pending())
             assert "has died" not in running.logs()
     finally:
         rig.device.end()

@@ -149,6 +149,7 @@ class DeliveryShape(Shape):
                     "attempts": 1,
                     "status_code": 503,
                     "detail": "try again later",
+                    "next_attempt_at": examples.TIME,
                     "created_at": examples.TIME,
                     "updated_at": examples.TIME,
                 },
@@ -167,6 +168,8 @@ class DeliveryShape(Shape):
     attempts: int
     status_code: int | None
     detail: str
+    next_attempt_at: Time | None
+    """When it is sent again; null where it has arrived or is given up."""
     created_at: Time
     updated_at: Time
 
@@ -205,6 +208,7 @@ def delivery_shape(row: WebhookRow) -> DeliveryShape:
         attempts=row.attempts,
         status_code=row.status_code,
         detail=row.detail,
+        next_attempt_at=row.next_at,
         created_at=row.created_at,
         updated_at=row.updated_at,
     )
