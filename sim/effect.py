@@ -171,6 +171,8 @@ class Effect:
     needs_speed: bool = False
     nonlinear: bool = False
     """True when the response is not proportional to the excitation."""
+    absent: Mapping[str, float] = field(default_factory=dict)
+    """Values with which ``apply`` is called of parameters that a rig has not: those at which they do nothing."""
     restated: Callable[[Mapping[str, float], Mapping[str, float]], Mapping[str, float]] = lambda values, like: values
     """(values, like) -> the same effect as ``values``, with redundant parameters (as the sign of a mode shape, the time
     over which a drift is stated) chosen as in ``like``, so that both can be compared."""
@@ -200,12 +202,13 @@ class Effect:
                 raise EffectError(f"{self.id}.{name} = {value} {p.unit} is outside {p.low:g} to {p.high:g} {p.unit}")
         if rig.n_axes < self.needs_axes:
             raise EffectError(f"effect {self.id} needs {self.needs_axes} axes; rig {rig.name} has {rig.n_axes}")
-        return self.apply(rig, {name: values.get(name, p.typical) for name, p in known.items()})
+        return self.apply(rig, {**self.absent, **{name: values.get(name, p.typical) for name, p in known.items()}})
 
     def of(self, rig: Rig) -> Effect:
         """The effect with its ranges scaled to a rig, without parameters of axes and modes that the rig has not."""
-        used = (p for p in self.parameters if p.dormant or p.needs is None or p.needs(rig))
-        return replace(self, parameters=tuple(p.of(rig) for p in used))
+        absent = {p.name: p.null for p in self.parameters if not p.dormant and p.needs is not None and not p.needs(rig)}
+        used = tuple(p.of(rig) for p in self.parameters if p.name not in absent)
+        return replace(self, parameters=used, absent={**self.absent, **absent})
 
     def null(self) -> dict[str, float]:
         """Parameter values at which the effect vanishes; shape parameters stay typical."""

@@ -461,6 +461,8 @@ def test_on_a_rig_of_one_plane_and_one_mode_nothing_is_fitted_of_others(one):
     assert awake
     assert not [name for name in awake if any(other in name for other in ("_yA", "_yB", "mode2", "mode3"))]
     assert awake <= {p.name for p in one.of(rig_for(one)).parameters}
+    if one.needs_axes <= rig.n_axes:
+        assert_answers(one.of(rig).on(rig))
 
 
 def assert_answers(rig: Rig) -> None:

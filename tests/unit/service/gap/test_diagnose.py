@@ -206,6 +206,16 @@ def test_a_datasheet_without_modes_gets_them_from_the_experiment() -> None:
     assert found.effects == ("loop_delay", "support_resonance")
 
 
+@pytest.mark.parametrize("n_modes", [0, 1])
+def test_a_rotor_with_fewer_modes_than_two_is_diagnosed(n_modes: int) -> None:
+    datasheet, truth = (replace(sheet, modes=sheet.modes[:n_modes]) for sheet in known_datasheet(seed=6))
+    d = diagnose(*one_plane(experiment(true_rig(truth)), datasheet))
+    assert d.verdict.kind == "no_gap"
+    withheld = with_effects(true_rig(truth), {"eddy_currents": {"time_constant_s": 2e-6}})
+    d = diagnose(*one_plane(experiment(withheld), datasheet))
+    assert d.verdict.effects == ("eddy_currents",)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 2.6])
 def test_what_a_datasheet_without_tolerances_says_is_no_proof_of_an_effect_where_it_is_far_off(factor: float) -> None:
