@@ -17,6 +17,11 @@ NARROW = 1e-6
 """Width of a band of plays, as a share of their half width, below which they are one."""
 _PLAYS, _WIDEST_PLAY_A = 32, 3.0
 """Plays that stand for those of every width, and the half width beyond which no current moves one."""
+_PLAYS_OF_A_BAND = 6
+"""Plays that stand for those of a band whose widest is twice as wide as its narrowest."""
+PLAY_EDGES = 0.002 * 2.0 ** np.arange(9)
+"""Half widths over the bias current between which a density of `Magnets.hysteresis_density` is one, (9,): plays as wide
+as the currents of an experiment."""
 _LARGEST_LAG_RAD = 0.38
 """Largest lag that is told apart: that of a Rayleigh loop comes near atan(4 / (3 pi)) = 0.401 and no farther."""
 
@@ -202,11 +207,23 @@ def plays(m: Magnets) -> tuple[Array, Array, Array]:
     """Strength of each axis, (n,), and weights and half widths of the plays, b = i + 2 strength sum w_j play_j(i)."""
     low, high, density = play_band(m)
     if math.isinf(density):
-        return rayleigh_coefficient(m), np.array([high]), np.array([high])
-    # Graded, so that small currents see several of them, and in the middle of their share of the current, so that the
-    # sum of plays is the loop to second order.
-    edges = low + (max(min(high, _WIDEST_PLAY_A), low) - low) * (np.arange(_PLAYS + 1) / _PLAYS) ** 2
-    return rayleigh_coefficient(m), density * np.diff(edges), (edges[1:] + edges[:-1]) / 2
+        weights, widths = np.array([high]), np.array([high])
+    else:
+        # Graded, so that small currents see several of them, and in the middle of their share of the current, so that
+        # the sum of plays is the loop to second order.
+        edges = low + (max(min(high, _WIDEST_PLAY_A), low) - low) * (np.arange(_PLAYS + 1) / _PLAYS) ** 2
+        weights, widths = density * np.diff(edges), (edges[1:] + edges[:-1]) / 2
+    for more, inner, outer in denser_bands(m):
+        edges = np.linspace(inner, outer, _PLAYS_OF_A_BAND + 1)
+        weights, widths = np.r_[weights, more * np.diff(edges)], np.r_[widths, (edges[1:] + edges[:-1]) / 2]
+    return rayleigh_coefficient(m), weights, widths
+
+
+def denser_bands(m: Magnets) -> list[tuple[float, float, float]]:
+    """Plays beside `play_band`: how dense over those of a Rayleigh loop, and from and to which half width, A."""
+    edges = PLAY_EDGES * float(m.bias_current_a.mean())
+    bands = zip(m.hysteresis_density, edges[:-1].tolist(), edges[1:].tolist(), strict=False)
+    return [band for band in bands if band[0]]
 
 
 def eddy_factor(m: Magnets, omega_rad_s: Array) -> Complex:

@@ -84,6 +84,7 @@ NOT_IN_MODEL = {
     "magnets.hysteresis_rad": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_narrowest_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_widest_inverse_per_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
+    "magnets.hysteresis_density": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_displacement_share": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.hysteresis_reference_a": _SMALL.format(what="iron", figures="ki, ks and the delay"),
     "magnets.offset_m": "the even harmonics of its offset are not in the model, and the third-order terms of the force "

@@ -250,7 +250,8 @@ class Responder:
         None where that also depends on the displacement.
         """
         m = self.rig.magnets
-        banded = np.any(m.hysteresis_rad > 0) and (m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a)
+        uneven = m.hysteresis_narrowest_a or m.hysteresis_widest_inverse_per_a or any(m.hysteresis_density)
+        banded = np.any(m.hysteresis_rad > 0) and uneven
         n_time = 64 if banded else 32 if self._strongly_nonlinear else 16
         i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
         return i_t, None if m.hysteresis_displacement_share else magnetic_force.effective(m, i_t)

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from sim.actuator import play_band, rayleigh_coefficient
+from sim.actuator import denser_bands, play_band, rayleigh_coefficient
 from sim.rig import Array, Magnets
 
 
@@ -33,6 +33,8 @@ def lag(m: Magnets, i_t: Array) -> Array:
         added = high * one(high, along, swing)
     else:
         added = density * (up_to(high, along, swing) - up_to(low, along, swing))
+    for more, inner, outer in denser_bands(m):
+        added = added + more * (up_to(outer, along, swing) - up_to(inner, along, swing))
     return np.asarray(2 * rayleigh_coefficient(m) * way * added)
 
 

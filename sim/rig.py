@@ -161,6 +161,9 @@ class Magnets:
     """Half width of the narrowest play of the iron; those of a Rayleigh loop begin at 0 and have no end."""
     hysteresis_widest_inverse_per_a: float = 0.0
     """1 / half width of the widest; no wider than the narrowest, that is the only one."""
+    hysteresis_density: tuple[float, ...] = ()
+    """Plays beside those, from one of `sim.actuator.PLAY_EDGES` to the next: how dense they are over those of the
+    Rayleigh loop. A few plays far apart, as of an iron's grains or of a model, have no even density."""
     hysteresis_displacement_share: float = 0.0
     """Share in which the plays also follow the flux of a moving rotor: 1 where they lag behind ki i + ks x."""
     eddy_free_share: float = 0.0

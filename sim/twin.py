@@ -230,6 +230,7 @@ def small_signal(rig: Rig) -> Rig:
         bent |= {
             "hysteresis_narrowest_a": 0.0,
             "hysteresis_widest_inverse_per_a": 0.0,
+            "hysteresis_density": (),
             "hysteresis_displacement_share": 0.0,
         }
     centred = not rig.gravity_m_per_s2 and rig.static_current_a is None and not np.any(m.offset_m)

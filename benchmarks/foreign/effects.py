@@ -133,11 +133,16 @@ def magnetic_saturation(t: Truth, rng: Rng, level: float) -> Change:
 
 def magnetic_hysteresis(t: Truth, rng: Rng, level: float) -> Change:
     width = float(rng.uniform(0.1, 0.5))
-    one = rng.random() < 0.5
+    law = rng.random()
     share = size(level, 5e-4, 0.12)
-    w = np.full(N_PLAYS, width) if one else width * 2.5 * np.arange(1, N_PLAYS + 1) / N_PLAYS
+    if law < 0.5:
+        name, w = "play", np.full(N_PLAYS, width)
+    elif law < 0.75:
+        name, w = "rayleigh", width * 2.5 * np.arange(1, N_PLAYS + 1) / N_PLAYS
+    else:  # two of each of three widths that are far apart
+        name, w = "far apart", np.repeat(width * np.array([0.04, 0.25, 1.5]), N_PLAYS // 3)
     t.plant.update(play_share=four(share), play_width=w)
-    return {"law": "play" if one else "rayleigh", "share": share, "width_a": w.tolist()}
+    return {"law": name, "share": share, "width_a": w.tolist()}
 
 
 def off_centre_rotor(t: Truth, rng: Rng, level: float) -> Change:

@@ -5,10 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from sim.actuator import PLAY_EDGES
 from sim.effect import Effect, Parameter, rarely_needed
 from sim.imbalance import of_diagonal, parameters, shares
 from sim.rig import Rig
 from sim.sizes import BIAS
+
+DENSITIES = tuple(f"density_{k + 1}" for k in range(len(PLAY_EDGES) - 1))
+"""Names of the parameters that are `Magnets.hysteresis_density`."""
 
 
 def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
@@ -19,6 +23,7 @@ def _apply(rig: Rig, p: Mapping[str, float]) -> Rig:
             magnets,
             hysteresis_narrowest_a=p["narrowest_a"],
             hysteresis_widest_inverse_per_a=p["widest_inverse_per_a"],
+            hysteresis_density=tuple(p[name] for name in DENSITIES),
             hysteresis_displacement_share=p["displacement_share"],
         )
     return replace(rig, magnets=magnets)
@@ -73,12 +78,24 @@ EFFECT = Effect(
             "ki i + ks x",
             wakes=(0.9,),
         ),
+        *(
+            rarely_needed(
+                name,
+                "1",
+                0.0,
+                1000.0,
+                0.0,
+                description=f"more plays, of half widths from {100 * low:.2g} to {200 * low:.2g} % of the bias "
+                "current: how dense over those of the Rayleigh loop",
+            )
+            for name, low in zip(DENSITIES, PLAY_EDGES, strict=False)
+        ),
         *parameters("magnets", dormant=True),
         of_diagonal("magnets"),
     ),
     apply=_apply,
     law="b = i + 2 alpha r2/(r2 - r1) integral play_r(i) dr, r = r1..r2; all r: (1 + alpha A) i +- alpha/2 (A^2 - i^2)"
-    "; the plays follow i + g ks/ki x",
+    "; denser by d_k from one width to its double; the plays follow i + g ks/ki x",
     signature="lag and gain of y/i grow with the current's amplitude A, the same at any frequency; odd harmonics in y",
     aliases=("eddy_currents", "magnetic_saturation"),
     separated_by="a sweep of amplitude at low frequency: eddy currents do not depend on it, saturation has no lag",

@@ -28,12 +28,16 @@ from service.gap.fitting.unknowns import TURNING, dormant_at_null
 from service.gap.which.one_more_effect import rough_beside, rough_stages
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
+from sim.effects.magnetic_hysteresis import DENSITIES
 
 Complex = NDArray[np.complex128]
 
 SUPPORT, MODE, GYROSCOPIC = "support_resonance", "extra_flexible_mode", "gyroscopic_coupling"
 CONTROLLER = "controller_mismatch"
 STOP = "touchdown_contact"
+HYSTERESIS = "magnetic_hysteresis"
+DENSITY_AT_START = 0.1
+"""Density of the plays of each band, over those of a Rayleigh loop, at which a fit of them starts."""
 EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
@@ -103,6 +107,20 @@ def on_stops_off_centre(
     if starts := off_centre(effect, basic.fit.values[0], unexplained):
         held = frozenset({(STOP, "side")})  # which sides there are is told by where the middle is
         yield Task(ground, (STOP,), tuple((start,) for start in starts), null.fit.theta, (PROBE, EXACT), nulled=held)
+
+
+def with_plays_of_uneven_density(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:
+    """Tasks to fit hysteresis of plays that are denser at some widths; none where ``found`` has no hysteresis.
+
+    They start from the band that was found, and from plays of every width.
+    """
+    for c in found:
+        if HYSTERESIS in c.effects:
+            k = c.effects.index(HYSTERESIS)
+            denser = {**c.fit.values[k], **dict.fromkeys(DENSITIES, DENSITY_AT_START)}
+            everywhere = {**denser, "narrowest_a": 0.0, "widest_inverse_per_a": 0.0}
+            starts = tuple((*c.fit.values[:k], own, *c.fit.values[k + 1 :]) for own in (denser, everywhere))
+            yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
 
 
 def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candidate]) -> Iterator[Task]:

@@ -36,6 +36,7 @@ from service.gap.which.optional_parameters import (
     softer_in_one_plane,
     with_an_added_filter,
     with_optional_parameters,
+    with_plays_of_uneven_density,
     with_the_lag_of_the_displacement,
 )
 from service.gap.which.plainest_law import plainer_law, weighed_plainly
@@ -184,7 +185,8 @@ class _Search:
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
-            own = [*with_an_added_filter(self.ground, self.null, wider), *with_amplifiers_apart(self.ground, wider)]
+            own = [*with_plays_of_uneven_density(self.ground, wider)]
+            own += [*with_an_added_filter(self.ground, self.null, wider), *with_amplifiers_apart(self.ground, wider)]
             self._add([*uneven, *self.fitter.run(own)])
 
     def add_lag_of_displacement(self) -> None:

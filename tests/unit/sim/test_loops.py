@@ -83,6 +83,21 @@ def test_plays_stepped_over_a_current_of_many_turns_are_the_loops_where_it_turns
     )
 
 
+@pytest.mark.parametrize("amplitude_a", [0.04, 0.3, 1.0])
+def test_plays_denser_at_some_widths_are_those_plays_in_closed_form_and_in_time(amplitude_a):
+    density = (0.0, 20.0, 0.0, 0.0, 5.0, 0.0, 1.5)
+    m = replace(iron(0.3, 1 / 0.3), hysteresis_density=density)
+    edges = 2.75 * actuator.PLAY_EDGES
+    i, expected = amplitude_a * np.cos(PHASE), lag(iron(0.3, 1 / 0.3), wave(amplitude_a))[0, :, 0]
+    for more, inner, outer in zip(density, edges[:-1], edges[1:], strict=False):
+        half_widths = inner + (outer - inner) * (np.arange(100) + 0.5) / 100
+        expected = expected + 2 * ALPHA * more * (outer - inner) * stepped(i, half_widths).mean(axis=1)
+    np.testing.assert_allclose(lag(m, wave(amplitude_a))[0, :, 0], expected, atol=2e-4 * np.abs(expected).max())
+    strength, weights, half_widths = actuator.plays(m)
+    in_time = 2 * strength[0] * stepped(i, half_widths) @ weights
+    np.testing.assert_allclose(in_time, expected, atol=GRADED * np.abs(expected).max())
+
+
 def test_a_band_that_narrows_becomes_one_play():
     i = wave(0.5)
     np.testing.assert_allclose(lag(iron(0.1, 1 / 0.10001), i), lag(iron(0.1, 10.0), i), atol=1e-5)
