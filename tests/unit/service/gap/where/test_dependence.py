@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from service.gap.fitting.candidates import Fitter
+from service.gap.fitting.candidates import Fitter, Task
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, parts
 from service.gap.measured.condition import conditions_of, same_condition
@@ -19,6 +19,7 @@ from service.gap.which.between_sweeps import change_between, relative_error
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
 from service.gap.which.search import plain_twin
+from sim.effects import CATALOGUE
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 
@@ -63,6 +64,22 @@ def test_a_resonance_that_lies_in_the_band_of_one_sweep_alone_is_none_that_depen
         null, plain = plain_twin(fitter, ground)
     e = Explained(ground, tuple(ranked(null, [])), plain, plain)
     assert (alone_hz(ground.part, on_sweep(e, null, other)[1], other) or 0.0) > 200.0, "what may deceive"
+    assert change_between(e, other) < SIGNIFICANT
+
+
+def test_a_linear_gap_that_shows_alone_where_one_sweep_swings_furthest_is_none_that_depends_on_the_amplitude() -> None:
+    """The other swings furthest at a lower line, where iron that lags leaves less than a shifted peak could."""
+    rig = with_effects(true_rig(TRUTH), {"eddy_currents": {"time_constant_s": 2e-6}})
+    hz = np.geomspace(10.0, 1000.0, 40), np.geomspace(30.0, 930.0, 16)
+    main, other = (observe(sweep(rig, f, a, 5), NU.rig) for f, a in zip(hz, (0.15, 0.45), strict=True))
+    ground = Ground(NU, next(p for p in parts(NU, (main,)) if p.path == "plant"), (main,), np.zeros(len(NU)))
+    with Fitter(1) as fitter:
+        null, plain = plain_twin(fitter, ground)
+        start = {p.name: p.typical for p in CATALOGUE["eddy_currents"].parameters} | {"corner_rad_s": 10.0}
+        lag = fitter.run([Task(ground, ("eddy_currents",), ((start,),), ground.theta)])
+    e = Explained(ground, tuple(ranked(null, lag)), plain, plain)
+    assert e.chosen is lag[0]
+    assert alone_hz(ground.part, on_sweep(e, null, other)[1], other) == pytest.approx(30.0), "what may deceive"
     assert change_between(e, other) < SIGNIFICANT
 
 
