@@ -16,6 +16,7 @@ from drivers.errors import CancelledError, ControllerError, LeaseError, LimitErr
 from drivers.simulated.driver import SimulatedController
 from sim.reference import reference_rig
 from tests.support.buses import BUSES, Bench
+from tests.support.processes import wait_for
 
 TONE = Tone(axis=1, amplitude_a=0.1234567, periods=10, samples=1000, blocks=3, settle_samples=100)
 RAW = replace(TONE, periods=4, samples=400, raw=True)
@@ -33,11 +34,18 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def controller(bench: Bench) -> Iterator[Controller]:
     controller = bench.connect()
     try:
+        _wait_until_free(controller)
         yield controller
+        _wait_until_free(controller)
         with controller.lease("clean-up"):
             controller.acknowledge()
     finally:
         controller.close()  # a serial line has but one host: one left open would fail every test after it
+
+
+def _wait_until_free(controller: Controller) -> None:
+    """A test that failed may leave a lease behind, which ends by itself and fails no other test."""
+    wait_for(lambda: not controller.status().lease_holder, "the lease of the test before", 20)
 
 
 def test_driver_is_a_controller(controller: Controller) -> None:
