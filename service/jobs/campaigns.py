@@ -36,6 +36,8 @@ from service.uploads.child import summary
 from sim import rig_file
 
 if TYPE_CHECKING:
+    from sqlalchemy.orm import Session
+
     from drivers.controller import Controller
     from service.experiment.data import Experiment
     from sim.datasheet import Datasheet
@@ -209,9 +211,16 @@ class _Campaign:
         except (CampaignError, JournalError) as error:
             kept = f"no experiment can be made of them: {error}"
         log.warning("the points so far are too old to go on with, and the campaign begins anew; %s", kept)
+        # Before anything new is measured: the older journal is the longer one, and would be restored in its place.
+        self.worker.database.surely(self._forget_journal, self.control.stopped)
         put_aside(self.folder / EXPERIMENT)
         put_aside(self.folder / JOURNAL)
         self.control.begin_journal(0)
+
+    def _forget_journal(self, session: Session) -> None:
+        mine, _ = jobs.note(session, self.job.id, self.job.attempt)
+        if mine:
+            jobs.drop_journal(session, self.job.id)
 
     def _progress(self, p: Progress) -> None:
         self.answered = time.monotonic()

@@ -340,7 +340,7 @@ def journal(session: Session, job_id: str) -> bytes:
 
 
 def drop_journal(session: Session, job_id: str) -> None:
-    """Forget a journal: its experiment is whole."""
+    """Forget a journal: its experiment is whole, or another journal begins in its place."""
     session.execute(delete(JournalPart).where(JournalPart.job_id == job_id))
 
 
