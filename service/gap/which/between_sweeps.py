@@ -50,10 +50,10 @@ def change_between(e: Explained, other: Observation) -> float:
     points = replace(second, line=second.line[compared], axis=second.axis[compared])
     lone = alone_hz(e.part, z_second, second)
     if lone is not None and next_to(lone, main.frequency_hz) and alone_hz(e.part, e.plain[0], main) is None:
-        # The mean of a band hides a limit that one line of one sweep reaches. A linear gap is largest at a peak, too,
-        # but then what explains it explains that line.
-        explained = on_sweep(e, e.chosen, other)[1]
-        if alone_hz(e.part, explained, second) is not None:
+        # The mean of a band hides a limit that one line of one sweep reaches. A linear gap may show in
+        # one line alone, too, but then what explains it explains that line.
+        left = on_sweep(e, e.chosen, other)[1]
+        if alone_hz(e.part, left, second) is not None:
             return float(normal_above(LINE_BY_CHANCE))
     return max(significance(z[compared], points), overall(z[compared]), 0.0)
 

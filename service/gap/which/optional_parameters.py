@@ -36,9 +36,9 @@ SUPPORT, MODE, GYROSCOPIC = "support_resonance", "extra_flexible_mode", "gyrosco
 CONTROLLER = "controller_mismatch"
 STOP = "touchdown_contact"
 HYSTERESIS = "magnetic_hysteresis"
+EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 DENSITY_AT_START = 0.1
 """Density of the plays of each band, over those of a Rayleigh loop, at which a fit of them starts."""
-EDDY, DISPLACEMENT_SHARE = "eddy_currents", "displacement_share"
 VISIBLE = 0.2
 """Share of the typical strength that is a start of such a fit, too: at zero strength no shape parameter has an
 effect."""
@@ -110,17 +110,20 @@ def on_stops_off_centre(
 
 
 def with_plays_of_uneven_density(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:
-    """Tasks to fit hysteresis of plays that are denser at some widths; none where ``found`` has no hysteresis.
+    """Tasks to fit hysteresis of plays that are denser at some widths; none where ``found`` has none of one density.
 
     They start from the band that was found, and from plays of every width.
     """
     for c in found:
-        if HYSTERESIS in c.effects:
-            k = c.effects.index(HYSTERESIS)
-            denser = {**c.fit.values[k], **dict.fromkeys(DENSITIES, DENSITY_AT_START)}
-            everywhere = {**denser, "narrowest_a": 0.0, "widest_inverse_per_a": 0.0}
-            starts = tuple((*c.fit.values[:k], own, *c.fit.values[k + 1 :]) for own in (denser, everywhere))
-            yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
+        if HYSTERESIS not in c.effects:
+            continue
+        k = c.effects.index(HYSTERESIS)
+        if any(c.fit.values[k][name] for name in DENSITIES):
+            continue  # fitted already
+        denser = {**c.fit.values[k], **dict.fromkeys(DENSITIES, DENSITY_AT_START)}
+        everywhere = {**denser, "narrowest_a": 0.0, "widest_inverse_per_a": 0.0}
+        starts = tuple((*c.fit.values[:k], own, *c.fit.values[k + 1 :]) for own in (denser, everywhere))
+        yield Task(ground, c.effects, starts, c.fit.theta, (EXACT,))
 
 
 def with_an_added_filter(ground: Ground, null: Candidate, found: Sequence[Candidate]) -> Iterator[Task]:

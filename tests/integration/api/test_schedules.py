@@ -1,6 +1,6 @@
 """Schedules: kept by the clock, missed runs told, messages to webhooks, what cannot be kept."""
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import pytest
 from sqlalchemy import select
@@ -8,6 +8,7 @@ from sqlalchemy import select
 from service.jobs import timetable
 from service.storage import jobs as rows
 from service.storage.database import now
+from service.storage.ids import new_id
 from service.storage.tables import ModelRow, ScheduleRow, ScheduleRunRow, WebhookRow
 from tests.support.api import assert_problem
 
@@ -70,6 +71,21 @@ def test_messages_that_wait_for_a_webhook_end_with_it(api, service, rig, remove,
             ("delivered", "delivered", ""),
         }
     api.delete(f"/schedules/{made['id']}")
+
+
+def test_a_message_tells_when_it_is_sent_again_where_it_is(api, service, rig):
+    body = {"rig": rig, "cron": "0 6 * * *", "webhook": {"url": "https://plant.example/hook"}}
+    schedule, at = api.post("/schedules", json=body).json()["id"], now().replace(microsecond=0)
+    with service.services.database.write() as session:
+        common = {"schedule_id": schedule, "url": "u", "created_at": at, "updated_at": at}
+        session.add_all(
+            WebhookRow(id=new_id("whd"), state=state, next_at=next_at, **common)
+            for state, next_at in (("pending", at + timedelta(hours=1)), ("delivered", None))
+        )
+    told = {d["state"]: d["next_attempt_at"] for d in api.get(f"/schedules/{schedule}/deliveries").json()["items"]}
+    assert told["delivered"] is None
+    assert datetime.fromisoformat(told["pending"]) == at + timedelta(hours=1)
+    api.delete(f"/schedules/{schedule}")
 
 
 def messages(service, schedule):

@@ -28,7 +28,7 @@ def few_plays(*half_widths_a: float, strength_a: float) -> dict[str, float]:
 
 
 def test_plays_far_apart_are_hysteresis_and_close_the_gap_at_another_amplitude() -> None:
-    """An even density leaves two fifths of it, as of none of these."""
+    """An even density leaves a twentieth of it, which eddy currents were named for."""
     datasheet, truth = known_datasheet(seed=4)
     iron = few_plays(0.013, 0.07, 0.3, strength_a=0.8)
     rig = with_effects(true_rig(truth), {"magnetic_hysteresis": iron})
