@@ -205,4 +205,6 @@ def test_a_current_that_is_distorted_however_small_leaves_tones_that_can_be_meas
     aim = aims(profile, what)["main"]
     free = tones(knowledge(noise), 500.0, aim, profile, what)
     for request, wanted in zip(tones(known, 500.0, aim, profile, what), free, strict=True):
-        assert 0.02 * aim.current_a <= request.amplitude_a or request.amplitude_a == wanted.amplitude_a
+        # a longer block tells as much with less
+        told, asked = (tone.amplitude_a**2 * tone.samples for tone in (request, wanted))
+        assert 0.02 * aim.current_a <= request.amplitude_a or told >= asked * (1 - 1e-3)
