@@ -127,4 +127,6 @@ def as_it_ran(model: PlaneModel, controller: tuple[Real, Real], decay_per_s: flo
         k = int(np.argmin(np.abs(model.modes[:, 0] - abs(worst.imag))))
         theta[model.layout.mode(k).start + 1] += 2 * (worst.real + decay_per_s)
         tamed = model.at(theta)
+        if not tamed.is_physical:  # what grows is no mode: a fit that found none there is told of where it is judged
+            break
     return model

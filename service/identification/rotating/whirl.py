@@ -123,13 +123,25 @@ def whirl(
     along = []
     pairing = np.einsum("ik,ik->k", left[:, order].conj(), right[:, order])
     for place in np.flatnonzero(free):
-        theta = model.theta.copy()
-        step = STEP * max(abs(theta[place]), 1e-3)
-        theta[place] += step
-        change = (loop_matrix(model.at(theta), controller, speed_rad_s)[0] - matrix) / step
+        change = _change(model, controller, speed_rad_s, matrix, int(place))
         d_value = np.einsum("ik,ik->k", left[:, order].conj(), change @ right[:, order]) / pairing
         along.append(d_value / values[order] / period)
     slope = np.array(along)  # (parameters, n)
     both = np.stack([slope.real, slope.imag], axis=2)
     found = np.einsum("pna,pq,qnb->nab", both, covariance, both)
     return Whirl(poles[order], (to_y - to_x) / (to_y + to_x), shape, found)
+
+
+def _change(model: RotatingModel, controller: tuple[Real, Real], speed_rad_s: float, matrix: Real, place: int) -> Real:
+    """Derivative of the loop's ``matrix`` with a parameter.
+
+    By a step up, or down where a delay just below a whole number of samples has more states beyond it.
+    """
+    step = STEP * max(abs(model.theta[place]), 1e-3)
+    for way in (step, -step):
+        theta = model.theta.copy()
+        theta[place] += way
+        stepped = loop_matrix(model.at(theta), controller, speed_rad_s)[0]
+        if stepped.shape == matrix.shape:
+            break
+    return np.asarray((stepped - matrix) / way)

@@ -216,6 +216,20 @@ def test_a_loop_that_grows_in_the_model_is_taken_as_it_ran() -> None:
     assert as_it_ran(TRUTH, CONTROLLER, 3.0) is TRUTH
 
 
+def test_a_loop_that_only_an_impossible_mode_would_hold_is_left_as_it_is() -> None:
+    """A fit that failed has a mode at a few hundredths of a hertz that grows slowly, and is told of for what it is.
+
+    To die away as fast as the blocks saw it would take a damping ratio of 26; what went on with that ended in a
+    traceback.
+    """
+    theta = TRUTH.theta.copy()
+    theta[TRUTH.layout.mode(0)] = [0.232, -0.046, 0.001, 0.005, -0.003, -0.004]
+    grows = TRUTH.at(theta)
+    assert grows.is_physical
+    assert np.abs(closed_loop_poles(grows, CONTROLLER)).max() > 1
+    assert as_it_ran(grows, CONTROLLER, 3.0) is grows
+
+
 def test_what_is_not_known_of_a_transient_is_in_the_noise(hasty: Sweep) -> None:
     """At the peak a transient looks most like the settled motion: such points count for less, others as before."""
     points = plane_points(hasty, AXES, "x")

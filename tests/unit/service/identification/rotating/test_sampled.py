@@ -10,7 +10,8 @@ import pytest
 from service.identification.plane.prediction import Amplitude, Points
 from service.identification.rotating.model import RotatingModel
 from service.identification.rotating.motion import TurningPoints
-from service.identification.rotating.whirl import sampled
+from service.identification.rotating.whirl import sampled, whirl
+from sim.reference import pid_with_biquad
 from tests.support.turning import rig_at, true_model
 
 HZ = np.array([50.0, 300.0, 499.0, 600.0, 800.0, 1000.0])
@@ -74,3 +75,23 @@ def test_slopes_are_those_of_what_is_sampled(model: RotatingModel) -> None:
         # line by line: what is wrong at one above a tenth of the sample rate is small beside those below
         size = np.max(np.abs(numeric), axis=1, keepdims=True)
         assert np.all(np.abs(numeric - slopes[:, :, k]) <= 3e-4 * size + 1e-15), name
+
+
+@pytest.mark.parametrize("below_s", [1e-12, 1e-7])
+def test_a_delay_just_below_a_whole_sample_has_whirling_poles_with_deviations(
+    model: RotatingModel, below_s: float
+) -> None:
+    """A step of the delay beyond it has one state more in each axis."""
+    delayed = replace(model, known=tuple(replace(k, computing_delay_s=SAMPLE_TIME_S) for k in model.known))
+    theta, free = model.theta.copy(), np.zeros(len(model.theta), dtype=bool)
+    for own, layout in zip(model.layout.own, model.layout.planes, strict=True):
+        theta[own.start + layout.delay] = -below_s
+        free[own.start + layout.delay] = True
+    b, a = (np.array(x) for x in pid_with_biquad())
+    covariance = 1e-14 * np.eye(2)
+    found, beside = (
+        whirl(delayed.at(t), (b, a), SPEED, covariance, free, 2 * np.pi * 1000)
+        for t in (theta, np.where(free, theta - 1e-6, theta))
+    )
+    assert np.all(np.isfinite(found.covariance))
+    assert found.covariance == pytest.approx(beside.covariance, rel=0.1)
