@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,8 +22,11 @@ from service.identification.measured.points import planes_of
 from service.identification.measured.sweeps import Chosen, chosen_sweeps, speed_of
 from service.identification.options import Options
 from service.identification.plane_fit import FittedPlane, fit_plane, settled_alike
+from service.identification.priors.given import Given
+from service.identification.priors.tolerances import Tolerances
 from service.identification.result.commissioning import CommissioningResult, PlaneResult
 from service.identification.rotating.turned import turned
+from service.identification.within_tolerances import Within, within_tolerances
 from sim.chain import Chain
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
@@ -63,7 +66,8 @@ def identify(
     """
     options, say, twin = options or Options(), progress or (lambda fraction: None), folded(datasheet)
     prepared = _prepared(experiment, twin)
-    fitted, doubts = _fitted_planes(prepared, options, say)
+    within = _fitted_planes(prepared, options, say)
+    fitted, doubts = within.planes, list(within.doubts)
     planes = _results(prepared, fitted, say)
     main, of_planes = prepared.chosen.main, {plane: f.selected for plane, f in fitted.items()}
     across = cross_planes(main.sweep, prepared.axes) if at_standstill(main.sweep.speed_rad_s) else ()
@@ -88,6 +92,7 @@ def identify(
         rotating=rotating,
         cross_planes=across,
         known_effects=twin.effects,
+        adjusted=within.adjusted,
     )
 
 
@@ -137,7 +142,7 @@ def _prepared(experiment: Experiment, twin: Folded) -> _Prepared:
     return _Prepared(experiment, datasheet, twin.chain, chosen, tuple(warnings))
 
 
-def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> tuple[dict[str, FittedPlane], list[str]]:
+def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> Within:
     """Every plane that is excited on both of its axes, fitted, and doubts in words."""
     main, pairs = p.chosen.main, planes_of(p.axes)
     amplifier, validation = (None if s is None else s.sweep for s in (p.chosen.amplifier, p.chosen.validation))
@@ -161,7 +166,15 @@ def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> tuple[dict[
             "the sweep that was left for cross-validation cannot be used (blocks or points too few): the fit is judged "
             "on the data that it was made from"
         )
-    return settled_alike(found, main.sweep, p.axes, p.datasheet, options), doubts
+    settled = settled_alike(found, main.sweep, p.axes, p.datasheet, options)
+
+    def again(plane: str, released: Tolerances | None, given: Given | None) -> FittedPlane:
+        of = (main.sweep, amplifier, validation, p.axes, plane, p.datasheet, options, p.chain, released, given)
+        return fit_plane(*of)
+
+    told = {plane: Tolerances.of_given(p.datasheet, f.data.plant.axes) for plane, f in settled.items()}
+    within = within_tolerances(settled, told, again)
+    return replace(within, doubts=(*doubts, *within.doubts))
 
 
 def _results(p: _Prepared, fitted: Mapping[str, FittedPlane], say: Progress) -> dict[str, PlaneResult]:

@@ -11,14 +11,17 @@ from service.experiment.data import Sweep
 from service.experiment.speeds import at_standstill
 from service.identification.arrays import Real
 from service.identification.joint.selection import Selected, choose_modes
+from service.identification.joint.uncertainty import uncertainty_of
 from service.identification.measured.block_length import block_samples
 from service.identification.measured.data import Data
 from service.identification.measured.etfe import FrequencyResponse, etfe
 from service.identification.measured.points import PlanePoints, check_excitation, plane_points, planes_of
 from service.identification.options import Options
+from service.identification.priors.given import Given
 from service.identification.priors.tolerances import Tolerances
 from service.identification.result.assemble import assemble
 from service.identification.result.commissioning import PlaneResult
+from service.identification.result.judged import residual_tests, total_rms
 from service.identification.ringing.transient import LASTING, Transient, settled, told
 from service.identification.steps.amplifier_fit import AmplifierFit
 from service.identification.steps.nominal import split_knowledge, start_model
@@ -44,6 +47,19 @@ class FittedPlane:
     """What rang in the points and was taken out."""
     measured: PlanePoints | None = None
     """The points before, where anything was."""
+    given: Given | None = None
+    """What is held in place of the datasheet's mass, geometry and sensor gains; None: these."""
+
+    @property
+    def residual_over_noise(self) -> float:
+        """Of all channels together, in units of the noise."""
+        return total_rms(residual_tests(self.selected.refined, self.data.plant)[0])
+
+    @property
+    def adequate(self) -> bool:
+        """Whether the model explains the data."""
+        refined = self.selected.refined
+        return uncertainty_of(refined, self.selected.splits, inflation=refined.noise.inflation).adequate
 
     def result(self, datasheet: Datasheet) -> PlaneResult:
         """Figures with uncertainty, validation, curves."""
@@ -56,6 +72,7 @@ class FittedPlane:
             self.amplifiers,
             self.staged,
             self.selected,
+            self.given,
         )
         more = [told(t) for t in self.transients if t.left > LASTING]
         if self.data.prior is not None:
@@ -72,11 +89,20 @@ def fit_plane(
     datasheet: Datasheet,
     options: Options | None = None,
     chain: Chain | None = None,
+    released: Tolerances | None = None,
+    given: Given | None = None,
 ) -> FittedPlane:
     """Identify one plane: the six steps, then the joint refinement.
 
-    ``chain``: what is known of the axes beside the datasheet; the sweeps are led back to where the model begins
-    (`measured.known.led_back`).
+    Parameters
+    ----------
+    chain
+        What is known of the axes beside the datasheet; the sweeps are led back to where the model begins
+        (`measured.known.led_back`).
+    released
+        What of the datasheet's mass, geometry and sensor gains may move, and how well each is known.
+    given
+        What is held in place of these.
     """
     options = options or Options()
     own = Chain() if chain is None else chain.of(list(planes_of(axes)[plane]))
@@ -84,8 +110,8 @@ def fit_plane(
     check_excitation(points)
     told = Tolerances.of(datasheet, points.axes)
     prior = told if options.priors else told.of_amplifiers() if points.I is None else None
-    data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior)
-    found = _fit_points(data, datasheet, axes, options, own)
+    data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior, released)
+    found = _fit_points(data, datasheet, axes, options, own, given=given)
     found = _settled(found, main, axes, datasheet, options, _block_s(main, points))
     held_out = None
     if validation is not None:
@@ -116,7 +142,7 @@ def _settled(
     )
     if data.plant is measured or (refined.relative and not transients):
         return found  # what noise alone kept up is not worth a further fit of a model that does not explain the data
-    again = _fit_points(data, datasheet, axes, options, refined.model.known.chain, found.selected)
+    again = _fit_points(data, datasheet, axes, options, refined.model.known.chain, found.selected, found.given)
     return replace(again, held_out=found.held_out, transients=transients, measured=measured)
 
 
@@ -152,18 +178,21 @@ def _fit_points(
     options: Options,
     chain: Chain,
     before: Selected | None = None,
+    given: Given | None = None,
 ) -> FittedPlane:
     """The six steps and the joint refinement; ``before`` is what was chosen with what still rang in the points."""
     points = data.plant
     u_to_y = etfe(points, "u->y")
     start, fits = start_model(datasheet, points.plane, axes, data, chain)
+    if given is not None:
+        start = given.of(start)
     gain = start.amplifier_response(u_to_y.omega)
     plant = FrequencyResponse(u_to_y.omega, u_to_y.value / gain[:, None, :], u_to_y.std / np.abs(gain)[:, None, :])
     staged = staged_fit(start, points, plant)
     knowledge = replace(split_knowledge(datasheet, options), end_rad_s=float(points.omega.max()))
     begin = joint_start(staged.rigid_model, staged.rational, points, plant)
     selected = choose_modes(begin, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge, before)
-    return FittedPlane(data, None, u_to_y, plant, fits, staged, selected)
+    return FittedPlane(data, None, u_to_y, plant, fits, staged, selected, given=given)
 
 
 def _amplifier_points(sweep: Sweep | None, axes: tuple[str, ...], plane: str) -> PlanePoints | None:

@@ -20,7 +20,7 @@ BEARINGS, SENSORS = (0.418, 0.404), (0.484, 0.470)
 def plane(ki: tuple[float, float], ks: tuple[float, float]) -> PlaneModel:
     """Rigid rotor of Table 5-1 with identified constants."""
     known = Known(BEARINGS, SENSORS, np.array([2.75, 2.75]), 1e-4)
-    theta = np.array([*ki, *ks, 1, 9244, 0.8068, 1, 9640, 0.83, 0, 280, 10.87, 0, 1, 1])
+    theta = np.array([*ki, *ks, 1, 9244, 0.8068, 1, 9640, 0.83, 0, 280, 10.87, 0, 1, 1, 0, 0])
     return PlaneModel(known, Layout((2, 2), 0), theta)
 
 

@@ -87,7 +87,7 @@ def test_swapping_the_bearings_swaps_the_response() -> None:
 @given(st.floats(30, 900), st.floats(30, 900), st.floats(2e5, 8e6), st.floats(2e5, 8e6))
 def test_the_rigid_start_needs_no_knowledge_of_the_magnets(ki_a: float, ki_b: float, ks_a: float, ks_b: float) -> None:
     known = Known((0.418, 0.404), (0.484, 0.47), np.array([2.75, 2.75]), 1e-4)
-    theta = np.array([ki_a, ki_b, ks_a, ks_b, 1, 9244, 0.8, 1, 9244, 0.8, 0, 280, 10.87, 0, 1, 1])
+    theta = np.array([ki_a, ki_b, ks_a, ks_b, 1, 9244, 0.8, 1, 9244, 0.8, 0, 280, 10.87, 0, 1, 1, 0, 0])
     model = PlaneModel(known, Layout((2, 2), 0), theta)
     p = model.predict(Points(OMEGA, U))
     guess = changed(model, ki_A=340.0, ki_B=340.0, ks_A=2.3e6, ks_B=2.3e6)
@@ -140,7 +140,7 @@ def rig_of(name: str, ki: tuple[float, float], ks: tuple[float, float]) -> tuple
         w = 2 * np.pi * hz
         nu = np.sqrt(w**2 - np.square(bearing) @ np.array(ks))
         theta += [nu, zeta * w, *bearing, *sensor]
-    theta += [mass, inertia, 0, 1, 1]
+    theta += [mass, inertia, 0, 1, 1, 0, 0]
     known = Known((span, span), (1.1 * span, 1.1 * span), np.array([2.75, 2.75]), 1e-4)
     b, a = pid_with_biquad()
     sheet = replace(

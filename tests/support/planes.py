@@ -49,6 +49,7 @@ def plane_model_of(rig: Rig, plane: str) -> PlaneModel:
             modes,
             [r.mass_kg, r.transverse_inertia_kgm2, 0.0],
             rig.sensors.gain[pair],
+            [0.0, 0.0],
         ]
     )
     known = Known(

@@ -144,7 +144,7 @@ def drawn_rig(kind: str, draw: Draw) -> DrawnRig:
     amplifiers = [1, draw(8000, 12000), draw(0.7, 0.9), 1, draw(8000, 12000), draw(0.7, 0.9), draw(0.0, 3e-5)]
     modes = np.column_stack([nu, zeta * w, phi_b, phi_s])
     inertia = rotor.inertia * mass * length**2
-    theta = np.concatenate([ki, ks, amplifiers, modes.ravel(), [mass, inertia, 0, 1, 1]])
+    theta = np.concatenate([ki, ks, amplifiers, modes.ravel(), [mass, inertia, 0, 1, 1, 0, 0]])
     near, far = ((float(-p[0] * length), float(p[1] * length)) for p in (bearing, sensor))
     model = PlaneModel(Known(near, far, np.full(2, 2.75), 1e-4), Layout((2, 2), len(w)), theta)
     inside = w < 2 * np.pi * BAND_HZ

@@ -179,7 +179,8 @@ def check_controller(
         if not 0 <= computing_delay_s < np.inf:
             raise AmbError(f"a controller cannot compute for {1e6 * computing_delay_s:g} us; state a delay from 0 on")
         planes = {name: _computing_for(computing_delay_s, s) for name, s in planes.items()}
-    checks = [_check_plane(s, law, drawn(s.model, s.free, s.covariance, draws, seed), limits) for s in planes.values()]
+    others = {name: drawn(s.model, s.uncertain, s.covariance, draws, seed) for name, s in planes.items()}
+    checks = [_check_plane(s, law, others[name], limits) for name, s in planes.items()]
     axes = tuple(axis for c in checks for axis in c.axes)
 
     def beyond(found: str) -> bool:

@@ -35,7 +35,7 @@ class JointFits:
 
     def free(self, model: PlaneModel) -> NDArray[np.bool_]:
         """What a fit moves: without currents the delay stays as it is told, and amplifiers where no tolerance is."""
-        free = model.layout.free()
+        free = model.layout.free(*(() if self.data.released is None else self.data.released.names))
         if self.data.plant.I is None:
             free[model.layout.delay] = False
             for place in model.layout.amplifiers if self.data.prior is None else ():

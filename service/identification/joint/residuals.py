@@ -144,8 +144,10 @@ def residuals(
         rows.append(weights.amplifier.applied(e).view(np.float64).ravel())
         if gradient:
             slopes.append(_real_rows(weights.amplifier.applied(d_e[wanted])))
-    if data.prior is not None:
-        e_prior, d_prior = data.prior.rows(model)
+    for told in (data.prior, data.released):
+        if told is None:
+            continue
+        e_prior, d_prior = told.rows(model)
         rows.append(e_prior)
         slopes.append(d_prior.T[wanted])
     return np.concatenate(rows), np.concatenate(slopes, axis=1).T if gradient else None
@@ -170,7 +172,7 @@ def _whitened_slopes(
     if wanted[of_currents].any():
         d_i = np.zeros((layout.size, *motion.i.shape), dtype=np.complex128)
         amplifier_gradient(model, points.at, motion, d_i, d_y)
-    if wanted[layout.extended].any():
+    if wanted[layout.given].any():
         extended_gradient(model, motion, d_y)
     d_y = motion.folding.folded(d_y[wanted])
     if points.i is None:

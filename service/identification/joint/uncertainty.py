@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol, Self, TypeVar
 
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from service.distributions import chi2_above
 from service.identification.arrays import Complex, Real
+from service.identification.joint.refine import Refined
+from service.identification.joint.residuals import residuals
+from service.identification.measured.data import Data
 from service.identification.measured.noise import ESTIMATED_WEIGHTS
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import HELD, Posterior
@@ -126,6 +129,30 @@ def uncertainty_of(
         moves = inverse @ jacobian[n_data:].T / HELD
         reported = reported + moves @ splits.covariance @ moves.T
     return Uncertainty(reported, from_data, refined.fit.free, bool(adequate), widening, float(scale))
+
+
+def with_given(u: Uncertainty, refined: Refined, data: Data, covariance: Real) -> Uncertainty:
+    """The same with what is not known of what the fit held: mass, geometry and sensor gains, (7, 7) as in `GIVEN`.
+
+    The fitted parameters move with these as the least squares of small signals do, so that a figure that only both
+    together tell, as the response, keeps its deviation.
+    """
+    layout, free = refined.model.layout, refined.fit.free
+    _, slopes = residuals(refined.model, data, refined.weights, None)
+    assert slopes is not None
+    # what is known beside the data, as of splits, tells nothing of these
+    beside = refined.fit.jacobian[len(slopes) :]
+    jacobian = np.vstack([slopes[:, free], beside])
+    with_them = np.vstack([slopes[:, layout.given], np.zeros((len(beside), len(covariance)))])
+    moved = -covariance_of(jacobian) @ (jacobian.T @ with_them)
+    across = moved @ covariance
+    both = np.block([[u.covariance + across @ moved.T, across], [across.T, covariance]])
+    n = len(u.from_data)
+    from_data = np.zeros_like(both)
+    from_data[:n, :n] = u.from_data
+    whole = free.copy()
+    whole[layout.given] = True
+    return replace(u, covariance=both, from_data=from_data, free=whole)
 
 
 def _sandwich(influence: Real, residual: Real, bands: int = 48) -> Real:

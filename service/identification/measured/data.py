@@ -16,3 +16,6 @@ class Data:
     amplifier: PlanePoints | None = None
     prior: Tolerances | None = None
     """What the datasheet says, where it is asked to tell beside the data."""
+    released: Tolerances | None = None
+    """What of the datasheet's mass, geometry and sensor gains a fit may move, and how well each is known; None where
+    they are held."""

@@ -77,7 +77,7 @@ def amplifier_gradient(plane: PlaneParameters, points: Points, motion: Motion, d
 
 
 def extended_gradient(plane: PlaneParameters, motion: Motion, d_y: Complex) -> None:
-    """Fill the derivatives to mass, inertia, centre of gravity and sensor gains, (size, 2, P + 2 K)."""
+    """Fill the derivatives to what is given: the rotor's mass and geometry, and its sensors, (size, 2, P + 2 K)."""
     mass, inertia = plane.theta[plane.layout.extended][:2]
     loop, total = motion.loop, motion.total
     at = plane.layout.extended.start
@@ -98,3 +98,5 @@ def extended_gradient(plane: PlaneParameters, motion: Motion, d_y: Complex) -> N
     d_y[at + 2] = -(seen(both, both) * turn + seen(arm, arm_s) * push)
     for j in range(2):
         d_y[at + 3 + j, j] = motion.seen[j] / plane.sensor_gain[j]
+        # farther from the centre a sensor sees more of the tilt, B of the opposite one
+        d_y[plane.layout.shifts.start + j, j] = (1.0, -1.0)[j] * loop.sensor[j] * turn

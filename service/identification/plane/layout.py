@@ -12,13 +12,17 @@ from service.identification.plane import amplifier
 MODE_NAMES = ("nu_rad_s", "sigma_rad_s", "bearing_A", "bearing_B", "sensor_A", "sensor_B")
 N_MODE = len(MODE_NAMES)
 EXTENDED = ("mass_kg", "transverse_inertia_kgm2", "centre_of_gravity_m", "sensor_gain_A", "sensor_gain_B")
-"""Parameters that are known from the datasheet unless they are asked for; the centre of gravity is its shift
-towards bearing A."""
+"""Mass, inertia, centre of gravity (its shift towards bearing A) and sensor gains: which of them data can tell is
+reported."""
+SHIFTS = ("sensor_shift_A_m", "sensor_shift_B_m")
+"""How much farther from the centre the sensors are than the datasheet says."""
+GIVEN = (*EXTENDED, *SHIFTS)
+"""Parameters that are known from the datasheet unless they are asked for."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each parameter sits in the vector: ki, ks, amplifiers, delay, modes, extended set."""
+    """Where each parameter sits in the vector: ki, ks, amplifiers, delay, modes, what is given."""
 
     amplifier_orders: tuple[int, int] = (2, 2)
     n_modes: int = 0
@@ -46,9 +50,19 @@ class Layout:
         return slice(start, start + len(EXTENDED))
 
     @cached_property
+    def given(self) -> slice:
+        """Places of all that is known from the datasheet unless it is asked for, in the order of `GIVEN`; the last."""
+        return slice(self.extended.start, self.extended.start + len(GIVEN))
+
+    @cached_property
+    def shifts(self) -> slice:
+        """Places of `SHIFTS`."""
+        return slice(self.extended.stop, self.given.stop)
+
+    @cached_property
     def size(self) -> int:
         """Length of the parameter vector."""
-        return int(self.extended.stop)
+        return int(self.given.stop)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -59,16 +73,16 @@ class Layout:
         names.append("delay_s")
         for k in range(self.n_modes):
             names += [f"mode_{k + 1}_{n}" for n in MODE_NAMES]
-        return (*names, *EXTENDED)
+        return (*names, *GIVEN)
 
     def index(self, name: str) -> int:
         """Place of a parameter by name."""
         return self.names.index(name)
 
-    def free(self, *extended: str, fixed: tuple[str, ...] = ()) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """(size,) True for every parameter that a fit may move: all but the extended set and ``fixed``."""
+    def free(self, *given: str, fixed: tuple[str, ...] = ()) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """(size,) True for every parameter that a fit may move: all but what is given and ``fixed``."""
         mask = np.ones(self.size, dtype=bool)
-        mask[self.extended] = [n in extended for n in EXTENDED]
+        mask[self.given] = [n in given for n in GIVEN]
         for name in fixed:
             mask[self.index(name)] = False
         return mask

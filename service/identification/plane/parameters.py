@@ -37,6 +37,11 @@ class Known:
     chain: Chain = field(default_factory=Chain)
     """What else is known of the plane's chain: effects that the twin names."""
 
+    def with_sensors_at(self, shifts_m: Real) -> Known:
+        """The same with sensors that are so much farther from the centre, (2,) m."""
+        a, b = (float(z + by) for z, by in zip(self.sensor_from_cog_m, shifts_m, strict=True))
+        return replace(self, sensor_from_cog_m=(a, b))
+
 
 @dataclass(frozen=True)
 class PlaneParameters:
@@ -90,10 +95,16 @@ class PlaneParameters:
         return self.modes[:, 1] / np.maximum(self.natural_frequencies, 1e-300)
 
     @property
+    def sensor_shifts_m(self) -> Real:
+        """How much farther from the centre the sensors are than the datasheet says, (2,)."""
+        return self.theta[self.layout.shifts]
+
+    @property
     def rigid_shapes(self) -> tuple[Real, Real]:
         """Shapes of the two rigid modes at the bearings and at the sensors, (2, 2) each: [axis, mode]."""
         mass, inertia, shift = self.theta[self.layout.extended][:3]
-        (a, b), (sa, sb) = self.known.bearing_from_cog_m, self.known.sensor_from_cog_m
+        a, b = self.known.bearing_from_cog_m
+        sa, sb = np.array(self.known.sensor_from_cog_m) + self.sensor_shifts_m
         scale = np.array([1 / np.sqrt(mass), 1 / np.sqrt(inertia)])
         bearings = np.array([[1.0, a - shift], [1.0, -(b + shift)]]) * scale
         sensors = np.array([[1.0, sa - shift], [1.0, -(sb + shift)]]) * scale

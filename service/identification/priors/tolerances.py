@@ -4,7 +4,8 @@ Amplifiers that no logged current shows are known by them in any case: ki is the
 
 Every value becomes one more residual, (parameter - datasheet) / tolerance, beside those of the data: ki, ks,
 amplifiers, and frequency, damping and shape of each mode that the datasheet has and the data show. Mass, inertia,
-geometry and sensor gains are held at the datasheet's values with and without priors; the delay has no tolerance.
+geometry and sensor gains are held at the datasheet's values with and without priors, but where these do not explain the
+data (`Tolerances.of_given`); the delay has no tolerance.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from service.identification.arrays import Real
+from service.identification.plane.layout import SHIFTS
 from service.identification.plane.model import PlaneModel
 from sim.datasheet import Datasheet
 
@@ -22,6 +24,8 @@ NEAR, FAR = 0.05, 0.15
 """A mode is the datasheet's within five tolerances of its frequency, but a share between these of it."""
 NODE = 0.1
 """A shape's value is known to the tolerance of this share of its largest at least: nodes move."""
+EXACT = 1e-6
+"""Relative tolerance of mass, geometry and sensor gains that have none: what no sweep can tell."""
 STRAINED = 3.3
 """Tolerances off beyond which data and datasheet disagree: chance does that once in a thousand."""
 MODE_ROWS = 5
@@ -94,6 +98,32 @@ class Tolerances:
             t.mode_damping,
             t.mode_shape,
         )
+
+    @classmethod
+    def of_given(cls, datasheet: Datasheet, axes: tuple[str, str]) -> Tolerances:
+        """What it says of mass, inertia, geometry and sensor gains, for the plane of these two axes.
+
+        The centre of gravity is known as well as where the sensors are. A value without tolerance may move by `EXACT`.
+        """
+        t, told = datasheet.tolerance, datasheet
+        arm = sum(told.sensor_from_cog_m) / 2
+        entries = [
+            ("mass_kg", told.mass_kg, t.mass, told.mass_kg),
+            (
+                "transverse_inertia_kgm2",
+                told.transverse_inertia_kgm2,
+                t.transverse_inertia,
+                told.transverse_inertia_kgm2,
+            ),
+            ("centre_of_gravity_m", 0.0, t.sensor_position_m / arm, arm),
+        ]
+        for end, axis in zip("AB", (told.axes.index(a) for a in axes), strict=True):
+            gain = told.sensor_gain[axis]
+            entries.append((f"sensor_gain_{end}", gain, t.sensor_gain, gain))
+        entries += [(name, 0.0, t.sensor_position_m / arm, arm) for name in SHIFTS]
+        names, values, relative, sizes = zip(*entries, strict=True)
+        stds = np.maximum(relative, EXACT) * np.array(sizes)
+        return cls(names, np.array(values), stds, (), t.mode_frequency, t.mode_damping, t.mode_shape)
 
     def rows(self, model: PlaneModel) -> tuple[Real, Real]:
         """Residuals of unit variance and their Jacobian, (n,) and (n, size), in the same number for every model.

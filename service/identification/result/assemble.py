@@ -8,7 +8,7 @@ import numpy as np
 
 from service.identification.joint.refine import Refined
 from service.identification.joint.selection import Selected
-from service.identification.joint.uncertainty import Uncertainty, response_std, uncertainty_of
+from service.identification.joint.uncertainty import Uncertainty, response_std, uncertainty_of, with_given
 from service.identification.loop.closed_loop import closed_loop_poles
 from service.identification.loop.margins import axis_margins, beyond_measured, dense_grid, measured_sensitivity
 from service.identification.loop.predicted import predicted_closed_loop
@@ -25,6 +25,7 @@ from service.identification.plane.combine import (
     zero_pencil,
 )
 from service.identification.plane.model import PlaneModel
+from service.identification.priors.given import Given
 from service.identification.result.commissioning import PlaneResult
 from service.identification.result.extended import extended_report
 from service.identification.result.figures import (
@@ -40,6 +41,7 @@ from service.identification.result.judged import (
     cross_validation,
     frequency_fit,
     residual_tests,
+    total_rms,
     unseen_modes,
     unseen_splits,
 )
@@ -63,10 +65,13 @@ def assemble(
     fits: tuple[AmplifierFit, AmplifierFit] | None,
     staged: StagedFit,
     selected: Selected,
+    given: Given | None = None,
 ) -> PlaneResult:
-    """Result of a plane from its joint fit."""
+    """Result of a plane from its joint fit; ``given``: what that held in place of the datasheet's values."""
     refined, model, points = selected.refined, selected.refined.model, data.plant
     u = uncertainty_of(refined, selected.splits, inflation=refined.noise.inflation, estimated_weights=True)
+    if given is not None:
+        u = with_given(u, refined, data, given.covariance)
     fit, at_lines = frequency_fit(model, points, refined.amplitude)
     cross, cross_rms, validation_frf, validation_model = cross_validation(model, held_out, refined.reach)
     rms, tests = residual_tests(refined, points)
@@ -76,7 +81,7 @@ def assemble(
     seen = measured_sensitivity(computed(points, model.known.chain))
     peaks = axis_margins(model, controller, u.covariance, u.free, seen)
     beyond = beyond_measured(model, controller, points.axes, float(points.omega.max()) / (2 * np.pi))
-    total = float(np.sqrt(np.mean(rms**2)))
+    total = total_rms(rms)
     found_modes = modes(model, u, points, selected.splits)
     return PlaneResult(
         plane=points.plane,

@@ -15,6 +15,7 @@ from service.identification.measured import known
 from service.identification.measured.coupling import CrossPlane
 from service.identification.plane.combine import StateSpace
 from service.identification.plane.model import PlaneModel
+from service.identification.priors.given import Adjusted
 from service.identification.result.parts import (
     AmplifierResult,
     Correlations,
@@ -186,6 +187,8 @@ class CommissioningResult:
     """What of each plane's excitation the other one shows, at standstill."""
     known_effects: tuple[KnownEffect, ...] = ()
     """Effects that the twin named, and where the model has them."""
+    adjusted: tuple[Adjusted, ...] = ()
+    """Values that were held in place of the datasheet's, where those did not explain the data and these do."""
 
     @property
     def unseen(self) -> bool:
@@ -229,6 +232,8 @@ class CommissioningResult:
         }
         if self.known_effects:
             document[known.ENTRY] = known.document(self.known_effects)
+        if self.adjusted:
+            document["adjusted"] = [a.document() for a in self.adjusted]
         if self.cross_planes:
             document["cross_planes"] = [c.document() for c in self.cross_planes]
         if self.rotating is not None:

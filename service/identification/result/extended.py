@@ -38,7 +38,8 @@ def extended_report(
     r, jacobian = residuals(model, data, refined.weights, refined.amplitude)
     assert jacobian is not None
     full, rest = _with_knowledge(refined, splits, r, jacobian)
-    asked = ("transverse_inertia_kgm2", "centre_of_gravity_m")
+    told = {"transverse_inertia_kgm2": datasheet.transverse_inertia_kgm2, "centre_of_gravity_m": 0.0}
+    asked = tuple(told)
     free = refined.fit.free.copy()
     for name in asked:
         free[model.layout.index(name)] = True
@@ -55,7 +56,7 @@ def extended_report(
         out[name] = {
             "value": float(model.theta[model.layout.index(name)] + step[k]),
             "std": std,
-            "nominal": float(model.theta[model.layout.index(name)]),
+            "nominal": told[name],
             "identifiable": bool(std < tolerance[name]),
         }
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
@@ -65,7 +66,7 @@ def extended_report(
     spread = {name: (out[name]["value"], out[name]["std"]) for name in asked}
     out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)
-    out["given"] = {"mass_kg": datasheet.mass_kg}
+    out["given"] = {"mass_kg": float(model.theta[model.layout.index("mass_kg")])}
     scale = np.abs(model.theta)
     scale[model.layout.index("centre_of_gravity_m")] = sum(datasheet.bearing_from_cog_m) / 2
     scale[model.layout.delay] = datasheet.sample_time_s

@@ -74,6 +74,11 @@ def residual_tests(refined: Refined, points: PlanePoints) -> tuple[Real, dict[st
     return rms, tests
 
 
+def total_rms(of_entries: Real) -> float:
+    """Residual over noise of all entries together."""
+    return float(np.sqrt(np.mean(of_entries**2)))
+
+
 def unseen_modes(selected: Selected, points: PlanePoints | None) -> tuple[Evidence, ...]:
     """The evidence on the number of modes, with how each candidate does on points that no fit has seen."""
     if points is None:

@@ -13,7 +13,7 @@ from service.identification.arrays import Real
 from service.identification.loop.margins import Beyond, beyond_measured
 from service.identification.measured.known import as_identified
 from service.identification.measured.points import planes_of
-from service.identification.plane.layout import N_MODE, Layout
+from service.identification.plane.layout import GIVEN, N_MODE, SHIFTS, Layout
 from service.identification.plane.model import PlaneModel
 from service.identification.rotating.layout import RotatingLayout
 from service.identification.rotating.model import RotatingModel, paired
@@ -53,10 +53,12 @@ class SavedPlane:
     model: PlaneModel
     free: NDArray[np.bool_]
     """(size,) which parameters were fitted."""
+    uncertain: NDArray[np.bool_]
+    """(size,) which are not known for sure: those, and what was held within the datasheet's tolerances."""
     covariance: Real
-    """(n, n) of the free ones, with what is not known of the shapes' splits."""
+    """(m, m) of the uncertain ones, with what is not known of the shapes' splits."""
     covariance_from_data: Real
-    """(n, n) the splits held, widened as the fit's residuals asked for."""
+    """(n, n) of the free ones, the splits held, widened as the fit's residuals asked for."""
     rms_over_sigma: float
     """Residuals of the fit over its noise; about 1 where the model is right."""
     adequate: bool
@@ -164,7 +166,8 @@ def _rotor(document: Mapping[str, Any], found: Mapping[str, Any], twin: Folded) 
         n_modes = sum(name.startswith(f"{plane}_mode_") for name in values) // N_MODE
         layouts.append(Layout((int(orders[0]), int(orders[1])), n_modes))
         chain = twin.chain.of(list(planes_of(twin.datasheet.axes)[plane]))
-        known.append(known_of(twin.datasheet, plane, twin.datasheet.axes, chain))
+        shifts = [float(document["planes"][plane]["parameters"]["values"].get(name, 0.0)) for name in SHIFTS]
+        known.append(known_of(twin.datasheet, plane, twin.datasheet.axes, chain).with_sensors_at(np.array(shifts)))
     both, models = (layouts[0], layouts[1]), (known[0], known[1])
 
     def of(pairs: tuple[tuple[int, int], ...]) -> RotatingModel:
@@ -196,8 +199,12 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
             "its experiment once more (ambit identify)"
         )
     layout = Layout((int(kept["amplifier_orders"][0]), int(kept["amplifier_orders"][1])), int(kept["modes"]))
-    theta = np.array([float(kept["values"][name]) for name in layout.names])
-    free = np.isin(np.array(layout.names), np.array(kept["free"]))
+    values: Mapping[str, float] = kept["values"]
+    # a result of before sensors could be elsewhere than the datasheet says has them there
+    theta = np.array([float(values[name] if name not in SHIFTS else values.get(name, 0.0)) for name in layout.names])
+    uncertain = np.isin(np.array(layout.names), np.array(kept["free"]))
+    free = uncertain & ~np.isin(np.array(layout.names), np.array(GIVEN))
+    fitted = free[uncertain]
     pair = (f"{plane}A", f"{plane}B")
     axes = twin.datasheet.axes
     chain = twin.chain.of(list(planes_of(axes)[plane]))
@@ -210,8 +217,9 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
         pair,
         model,
         free,
+        uncertain,
         total,
-        own * float(residuals["std_widened_by"] or 1.0) ** 2,
+        own[np.ix_(fitted, fitted)] * float(residuals["std_widened_by"] or 1.0) ** 2,
         float(residuals["rms_over_sigma"]),
         bool(residuals["model_adequate"]),
         tuple(_places(model, found["rotor_modes"])),

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from service.identification.plane.amplifier import N_PARAMETERS
-from service.identification.plane.layout import Layout
+from service.identification.plane.layout import SHIFTS, Layout
 
 Matrix = list[list[FiniteFloat]]
 
@@ -98,7 +98,7 @@ class _Parameters(_Read):
         if not set(self.amplifier_orders) <= set(N_PARAMETERS):
             raise ValueError(f"amplifiers have no orders {self.amplifier_orders}")
         names = Layout((self.amplifier_orders[0], self.amplifier_orders[1]), self.modes).names
-        if missing := [name for name in names if name not in self.values]:
+        if missing := [name for name in names if name not in self.values and name not in SHIFTS]:
             raise ValueError(f"it has no value of {missing[0]}")
         n = len(set(self.free) & set(names))
         if n != len(self.free):

@@ -62,7 +62,8 @@ def joined(x: PlaneModel, y: PlaneModel, pairs: tuple[tuple[int, int], ...], pol
     own = [p.theta[: p.layout.extended.start] for p in (x, y)]
     rigid = 0.5 * (x.theta[x.layout.extended][:3] + y.theta[y.layout.extended][:3])
     theta = np.concatenate([*own, rigid, x.sensor_gain, y.sensor_gain, [polar_inertia], np.zeros(2 * len(pairs))])
-    return RotatingModel((x.known, y.known), layout, theta)
+    known = (x.known.with_sensors_at(x.sensor_shifts_m), y.known.with_sensors_at(y.sensor_shifts_m))
+    return RotatingModel(known, layout, theta)
 
 
 def paired(x: PlaneModel, y: PlaneModel, relative: float = 0.05) -> tuple[tuple[int, int], ...]:

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from service.identification.arrays import Complex, Real
+from service.identification.plane.layout import SHIFTS
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.parameters import Known
 from service.identification.rotating.layout import RotatingLayout
@@ -30,9 +31,9 @@ class RotatingParameters:
         """Plane ``k`` at standstill, 0 for x."""
         theta, layout = self.theta, self.layout
         gains = theta[layout.gains][2 * k : 2 * k + 2]
-        return PlaneModel(
-            self.known[k], layout.planes[k], np.concatenate([theta[layout.own[k]], theta[layout.rigid], gains])
-        )
+        # where the sensors are is known here, see `model.joined`
+        own = [theta[layout.own[k]], theta[layout.rigid], gains, np.zeros(len(SHIFTS))]
+        return PlaneModel(self.known[k], layout.planes[k], np.concatenate(own))
 
     @property
     def planes(self) -> tuple[PlaneModel, PlaneModel]:

@@ -7,7 +7,7 @@ import numpy as np
 from service.identification.measured.data import Data
 from service.identification.measured.points import planes_of
 from service.identification.options import Options
-from service.identification.plane.layout import Layout
+from service.identification.plane.layout import SHIFTS, Layout
 from service.identification.plane.model import PlaneModel
 from service.identification.plane.parameters import Known
 from service.identification.priors.split import Knowledge
@@ -48,6 +48,7 @@ def start_model(
             [delay],
             [datasheet.mass_kg, datasheet.transverse_inertia_kgm2, 0.0],
             [datasheet.sensor_gain[k] for k in pair],
+            np.zeros(len(SHIFTS)),
         ]
     )
     return PlaneModel(known, Layout(orders), theta), fits

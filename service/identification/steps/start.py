@@ -30,7 +30,7 @@ def with_modes(model: PlaneModel, modes: Real) -> PlaneModel:
     modes = modes[np.argsort(modes[:, 0])]
     layout = Layout(model.layout.amplifier_orders, len(modes))
     start = model.layout.delay + 1
-    theta = np.concatenate([model.theta[:start], modes.ravel(), model.theta[model.layout.extended]])
+    theta = np.concatenate([model.theta[:start], modes.ravel(), model.theta[model.layout.given]])
     return replace(model, layout=layout, theta=theta)
 
 
