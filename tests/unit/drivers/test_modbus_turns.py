@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 import pytest
+from pymodbus.pdu.register_message import WriteMultipleRegistersResponse
 
 from drivers.modbus.driver import ModbusLink
 from drivers.modbus.map import DEFAULT_MAP
@@ -106,12 +107,9 @@ class _Client:
     def connect(self) -> bool:
         return True
 
-    def write_registers(self, address: int, registers: list[int], device_id: int) -> _Client:
+    def write_registers(self, address: int, registers: list[int], device_id: int) -> WriteMultipleRegistersResponse:
         self.written.append(address)
-        return self
-
-    def isError(self) -> bool:
-        return False
+        return WriteMultipleRegistersResponse(address=address, count=len(registers))
 
 
 def test_a_stop_goes_before_the_heartbeat_and_that_before_a_tone_whoever_came_first() -> None:
