@@ -16,6 +16,7 @@ from drivers import playing
 from drivers.controller import Tone, TripCause
 from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
+from drivers.device.modbus import RtuServer
 from drivers.device.registers import RegisterSession
 from drivers.errors import TripError
 from drivers.modbus.map import DEFAULT_MAP
@@ -96,3 +97,20 @@ def test_a_tone_that_was_refused_is_not_waited_for(behind: Behind, monkeypatch: 
         with pytest.raises(TripError, match="latched"):
             controller.measure(TONE)
         controller.acknowledge()
+
+
+def test_requests_that_come_together_are_all_answered() -> None:
+    """A machine that stood still finds what the host said, and said again; none of it may wait for the next request."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    server = RtuServer(DeviceFront(RigDevice(reference_rig(), seed=1), "big"), master)
+    try:
+        os.write(slave, 2 * _READ_STATUS)
+        answers = b""
+        while select.select([slave], [], [], 1.0)[0]:
+            answers += os.read(slave, 512)
+        assert len(answers) == 2 * (5 + 2 * 53)
+    finally:
+        server.close()
+        os.close(master)
+        os.close(slave)
