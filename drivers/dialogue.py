@@ -29,6 +29,9 @@ T = TypeVar("T")
 
 REFUSALS_BELIEVED = 4
 """A refusal that nothing explains is asked for again this often: it may have been a corrupted frame."""
+COUNT_BELIEVED = 4
+"""So many statuses in a row, each older than the newest but newer than the one before it, are from a count that began
+anew: a vendor's may have few bits, or no boot_id beside it."""
 STOP_PATIENCE_S = 1.0
 LAST_TRIES_S = 0.2
 """Seconds for which a failing bus is still tried once the caller wants to stop: on a line that all share, the stop may
@@ -61,6 +64,8 @@ class Dialogue:
         self._urgent: Link = links.link(urgent=True)
         self._urgent_lock = threading.Lock()
         self._snapshot = (0, 0)
+        self._older: list[int] = []
+        """Snapshots that were refused one after the other, rising."""
 
     def close(self) -> None:
         """Give up the links; safe twice."""
@@ -106,7 +111,7 @@ class Dialogue:
         def fresh(link: Link) -> dict[str, Value]:
             values = readable(lambda: link.read("status"))
             boot, snapshot = (whole(values.get(name, 0), f"status.{name}") for name in ("boot_id", "snapshot"))
-            if "snapshot" in values and boot == self._snapshot[0] and snapshot <= self._snapshot[1]:
+            if "snapshot" in values and boot == self._snapshot[0] and self._is_older(snapshot):
                 raise BusError("the controller answered with an older status")
             self._snapshot = (boot, snapshot)
             return values
@@ -115,6 +120,15 @@ class Dialogue:
         if expect_boot and self.token:
             self.require_same_boot(values)
         return values
+
+    def _is_older(self, snapshot: int) -> bool:
+        """Whether a snapshot is from before the newest one, and not of a count that has begun anew since."""
+        if snapshot <= self._snapshot[1]:
+            self._older = [*(self._older if self._older[-1:] < [snapshot] else []), snapshot]
+            if len(self._older) < COUNT_BELIEVED:
+                return True
+        self._older = []
+        return False
 
     def require_same_boot(self, values: Values) -> None:
         """Raise `RestartError` when these values come from another start of the device than the lease does."""
