@@ -51,6 +51,25 @@ def test_a_stop_goes_before_a_heartbeat_and_that_before_data_and_equals_as_they_
     assert order == ["stop", "beat", "status", "record"]
 
 
+def test_a_heartbeat_that_is_due_again_at_once_leaves_the_line_to_others_in_between() -> None:
+    """On a slow line, or with an adapter that takes its time, a beat takes longer than the time to the next one."""
+    turns, order = Turns(), list[str]()
+    with turns.turn(Urgency.BEAT):
+        threads = [
+            _asks(turns, urgency, order, name)
+            for urgency, name in (
+                (Urgency.DATA, "status"),
+                (Urgency.BEAT, "beat"),
+                (Urgency.BEAT, "next beat"),
+                (Urgency.DATA, "record"),
+                (Urgency.BEAT, "last beat"),
+            )
+        ]
+    for thread in threads:
+        thread.join()
+    assert order == ["status", "beat", "record", "next beat", "last beat"]
+
+
 def test_who_asks_again_at_once_stands_behind_those_that_waited() -> None:
     turns, order = Turns(), list[str]()
     with turns.turn(Urgency.BEAT):
