@@ -138,27 +138,27 @@ class Dialogue:
                 "nothing of before is valid: take the lease again"
             )
 
-    def command(self, group: str, values: dict[str, Value]) -> None:
+    def command(self, group: str, values: dict[str, Value], patience_s: float | None = None) -> None:
         """Write a command; a refusal is explained from the status, or believed when it is repeated."""
         for attempt in range(REFUSALS_BELIEVED):
             try:
-                self.patiently(lambda link: link.write(group, values))
+                self.patiently(lambda link: link.write(group, values), patience_s)
                 return
             except RefusedError as refused:
-                self._explain(refused)
+                self._explain(refused, group, patience_s)
                 if attempt == REFUSALS_BELIEVED - 1:
                     raise _as_error(refused) from refused
                 time.sleep(0.005 * 4**attempt)
 
-    def _explain(self, refused: RefusedError) -> None:
+    def _explain(self, refused: RefusedError, group: str, patience_s: float | None) -> None:
         """Raise what the device's status says about a refusal, if it says anything."""
-        values = self.status()
+        values = self.status(patience_s=patience_s)
         trip = coded(TripCause, values["trip"], "status.trip")
         if refused.refusal is Refusal.TRIPPED and trip != TripCause.NONE:
             raise TripError(
                 trip.name.lower(), f"a trip is latched ({self.trip_message(trip)}); acknowledge it first"
             ) from refused
-        mine = self.token != 0 and self.holds(values)
+        mine = (self.token != 0 or group == "release") and self.holds(values)
         if refused.refusal is Refusal.LEASE and not mine and (self.token or values.get("lease_holder")):
             raise held_by(values) from refused
 
