@@ -29,6 +29,9 @@ T = TypeVar("T")
 
 REFUSALS_BELIEVED = 4
 """A refusal that nothing explains is asked for again this often: it may have been a corrupted frame."""
+COUNT_BELIEVED = 4
+"""So many statuses in a row, each older than the newest but newer than the one before it, are from a count that began
+anew: a vendor's may have few bits, or no boot_id beside it."""
 STOP_PATIENCE_S = 1.0
 LAST_TRIES_S = 0.2
 """Seconds for which a failing bus is still tried once the caller wants to stop: on a line that all share, the stop may
@@ -61,6 +64,8 @@ class Dialogue:
         self._urgent: Link = links.link(urgent=True)
         self._urgent_lock = threading.Lock()
         self._snapshot = (0, 0)
+        self._older: list[int] = []
+        """Snapshots that were refused one after the other, rising."""
 
     def close(self) -> None:
         """Give up the links; safe twice."""
@@ -106,7 +111,7 @@ class Dialogue:
         def fresh(link: Link) -> dict[str, Value]:
             values = readable(lambda: link.read("status"))
             boot, snapshot = (whole(values.get(name, 0), f"status.{name}") for name in ("boot_id", "snapshot"))
-            if "snapshot" in values and boot == self._snapshot[0] and snapshot <= self._snapshot[1]:
+            if "snapshot" in values and boot == self._snapshot[0] and self._is_older(snapshot):
                 raise BusError("the controller answered with an older status")
             self._snapshot = (boot, snapshot)
             return values
@@ -116,6 +121,15 @@ class Dialogue:
             self.require_same_boot(values)
         return values
 
+    def _is_older(self, snapshot: int) -> bool:
+        """Whether a snapshot is from before the newest one, and not of a count that has begun anew since."""
+        if snapshot <= self._snapshot[1]:
+            self._older = [*(self._older if self._older[-1:] < [snapshot] else []), snapshot]
+            if len(self._older) < COUNT_BELIEVED:
+                return True
+        self._older = []
+        return False
+
     def require_same_boot(self, values: Values) -> None:
         """Raise `RestartError` when these values come from another start of the device than the lease does."""
         if self.boot_id and "boot_id" in values and values["boot_id"] != self.boot_id:
@@ -124,27 +138,27 @@ class Dialogue:
                 "nothing of before is valid: take the lease again"
             )
 
-    def command(self, group: str, values: dict[str, Value]) -> None:
+    def command(self, group: str, values: dict[str, Value], patience_s: float | None = None) -> None:
         """Write a command; a refusal is explained from the status, or believed when it is repeated."""
         for attempt in range(REFUSALS_BELIEVED):
             try:
-                self.patiently(lambda link: link.write(group, values))
+                self.patiently(lambda link: link.write(group, values), patience_s)
                 return
             except RefusedError as refused:
-                self._explain(refused)
+                self._explain(refused, group, patience_s)
                 if attempt == REFUSALS_BELIEVED - 1:
                     raise _as_error(refused) from refused
                 time.sleep(0.005 * 4**attempt)
 
-    def _explain(self, refused: RefusedError) -> None:
+    def _explain(self, refused: RefusedError, group: str, patience_s: float | None) -> None:
         """Raise what the device's status says about a refusal, if it says anything."""
-        values = self.status()
+        values = self.status(patience_s=patience_s)
         trip = coded(TripCause, values["trip"], "status.trip")
         if refused.refusal is Refusal.TRIPPED and trip != TripCause.NONE:
             raise TripError(
                 trip.name.lower(), f"a trip is latched ({self.trip_message(trip)}); acknowledge it first"
             ) from refused
-        mine = self.token != 0 and self.holds(values)
+        mine = (self.token != 0 or group == "release") and self.holds(values)
         if refused.refusal is Refusal.LEASE and not mine and (self.token or values.get("lease_holder")):
             raise held_by(values) from refused
 

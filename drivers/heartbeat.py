@@ -10,6 +10,8 @@ from drivers.errors import BusError
 from drivers.link import Link, RefusedError
 
 PERIOD_S = 0.05
+COUNTS = 0xFFFF
+"""After so many the count begins anew: a rig's own map may give it 16 bits."""
 
 
 class Heartbeat:
@@ -45,7 +47,7 @@ class Heartbeat:
         refusals = 0
         due = time.monotonic()
         while not self._end.is_set():
-            count = count % (2**32 - 1) + 1
+            count = count % COUNTS + 1
             try:
                 self._link.write("beat", {"token": self._token, "count": count})
                 refusals = 0

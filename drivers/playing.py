@@ -26,7 +26,11 @@ from drivers.values import coded, finite, number, whole
 FIRST_POLL_S, POLL_S, LONG_POLL_S = 0.001, 0.02, 0.05
 STOP_AGAIN_S = 0.1
 OVERDUE_S = 30.0
-"""Beyond twice its length, a tone has so long to end: a simulated rig compiles before its first one."""
+"""Beyond twice its length at the rig's pace, a tone has so long to end: a simulated rig compiles before its first."""
+PACE_FROM_S = 1.0
+"""A tone that is shorter says nothing of a rig's pace: compiling, or a bus that was away, took longer than the tone."""
+SLOWEST_PACE = 10.0
+"""Seconds for one of its clock that a simulated rig is granted."""
 UNHEEDED_S = 5.0
 """So long a controller may go on after a stop that it accepted; to ramp the excitation down takes parts of a second."""
 _ECHO = ("axis", "amplitude_a", "periods", "samples", "blocks", "settle_samples")
@@ -47,6 +51,8 @@ class Playing:
         self._stop_asked = stop_asked
         self._seconds_per_sample = 0.0
         """How fast the device was at its last tone: the clock's pace on a real one, anything on a simulated one."""
+        self._pace = 1.0
+        """Seconds for one of the rig's clock, at the last tone that tells; at least 1."""
 
     def play(self, tone: Tone, command: int) -> PointResult:
         """Result of a tone that is played under this command's number."""
@@ -60,6 +66,8 @@ class Playing:
             played *= 0.7  # it was done at the first look, who knows since when
         point = self.fetch(tone, command)
         self._seconds_per_sample = played / max(point.rig_seconds * self._capabilities.sample_rate_hz, 1.0)
+        if point.rig_seconds >= PACE_FROM_S:
+            self._pace = min(max(played / point.rig_seconds, 1.0), SLOWEST_PACE)
         return point
 
     def outcome(self, command: int, patience_s: float | None = None) -> Outcome | None:
@@ -94,7 +102,7 @@ class Playing:
         began = time.monotonic()
         samples = tone.settle_samples + tone.blocks * tone.samples
         expected = began + 0.9 * samples * self._seconds_per_sample
-        overdue = began + 2 * self._longest_s(tone) + OVERDUE_S
+        overdue = began + 2 * self._length_s(tone) * self._pace + OVERDUE_S
         unheeded = math.inf
         stop_again = 0.0
         looks = 0
@@ -134,10 +142,6 @@ class Playing:
         """How long a tone takes by the controller's clock, ramps and settling included, s."""
         rate = self._capabilities.sample_rate_hz
         return (2 * ramp_samples(tone, rate) + tone.settle_samples + tone.blocks * tone.samples) / rate
-
-    def _longest_s(self, tone: Tone) -> float:
-        """The same at the pace of the last tone, where a simulated rig is slower than its clock, s."""
-        return self._length_s(tone) * max(1.0, self._seconds_per_sample * self._capabilities.sample_rate_hz)
 
     def _require_no_stop(self) -> None:
         if self._stop_asked.is_set():

@@ -290,7 +290,7 @@ class RemoteController:
         try:
             # A bus that is down cannot be told; then the watchdog ends the excitation and the lease runs out.
             with suppress(ControllerError):
-                self._dialogue.patiently(lambda link: link.write("release", {"token": token}), RELEASE_PATIENCE_S)
+                self._dialogue.command("release", {"token": token}, RELEASE_PATIENCE_S)
         finally:
             if heartbeat is not None:
                 heartbeat.close()

@@ -259,7 +259,8 @@ class DeviceFront:
             self.device.fault(f"the tone failed: {error}")
         with self._lock:
             self._finished = finished or self._finished
-            self._outcome = outcome
+            if command == self._command:  # while this result was packed, another tone may have been accepted
+                self._outcome = outcome
             self._window = 0
         self._tell()
 

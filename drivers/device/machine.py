@@ -35,6 +35,10 @@ from sim.stepping import Simulation
 
 R = TypeVar("R", PointResult, WaveformResult)
 
+QUIET_S = 5.0
+"""So long the excitation may take to end once it was told to."""
+RAMP_LOOK_S = 0.001
+
 
 @dataclass(frozen=True)
 class Event:
@@ -336,7 +340,7 @@ class RigDevice:
         self._log("stop")
 
     def acknowledge(self, token: int) -> None:
-        """Clear a latched trip.
+        """Clear a latched trip; one of a tone that still ramps down, once it has.
 
         Raises
         ------
@@ -344,6 +348,9 @@ class RigDevice:
             The token does not hold the rig.
         """
         self._leases.require(token)
+        until = time.monotonic() + QUIET_S
+        while self._playing and self._trip is not None and time.monotonic() < until:
+            time.sleep(RAMP_LOOK_S)
         with self._state_lock:
             if self._playing:
                 return
@@ -386,8 +393,8 @@ class RigDevice:
         self._gauges.state = State.TRIPPED
         self._log(f"trip {interruption.cause.name}: {interruption.message}")
 
-    def _wait_until_quiet(self, seconds: float = 5.0) -> None:
-        if self._rig_lock.acquire(timeout=seconds):
+    def _wait_until_quiet(self) -> None:
+        if self._rig_lock.acquire(timeout=QUIET_S):
             self._rig_lock.release()
 
     def _levitate(self) -> None:

@@ -196,8 +196,9 @@ class RtuServer:
                 buffer.clear()
                 continue
             buffer += chunk
-            size = _request_size(buffer)
-            if size is not None and len(buffer) >= size:
+            # Requests that a host said again while this machine stood still come at once: one that was left for the
+            # next time would be answered in place of the next one, and so on.
+            while (size := _request_size(buffer)) is not None and len(buffer) >= size:
                 frame = bytes(buffer[:size])
                 del buffer[:size]
                 self._serve(frame)

@@ -32,12 +32,18 @@ Keep = Callable[[int, bytes], bytes]
 TIMEOUT_S = 0.3
 URGENT_TIMEOUT_S = 0.08
 BLOCK_TRIES = 4
+LATE_S = 0.06
+"""Silence on a serial line after an answer to another request: others that are late have come by then, and a device
+that gathers bytes begins anew."""
 RECORD_SHARE = 0.75
 """Of a serial line's bytes, those that are a raw record's; the others are frames around it, heartbeats and pauses."""
 
 # pymodbus writes every time-out to the log as an error; here they are raised, and counted, by those who retry.
 logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 
+_FUNCTIONS = {"read_holding_registers": 3, "read_input_registers": 4, "write_registers": 16}
+"""Function codes of pymodbus's verbs."""
+_EXCEPTION = 0x80
 _REFUSALS = {refusal.modbus: refusal for refusal in Refusal}
 _EXCEPTIONS = {
     1: "it does not know what was asked for; see that this is the controller's address",
@@ -76,6 +82,7 @@ class ModbusLink:
         self._map = registers
         self._unit = unit
         self._turns = shared or Turns()
+        self._late_s = 0.0 if shared is None else LATE_S
         self._urgency = Urgency.BEAT if urgent else Urgency.DATA
         self._client: Client | None = None
         self._transaction = 0
@@ -86,8 +93,6 @@ class ModbusLink:
         for span in self._map.spans(group, MAX_READ):
             address, count = span[0].address, span[-1].end - span[0].address
             answer = self._ask("read_holding_registers", address, count=count)
-            if len(answer.registers) != count:
-                self._fail(f"{group} has {len(answer.registers)} registers instead of {count}")
             values |= self._decoded(span, to_bytes(answer.registers))
         check_crc(BY_NAME[group], values)
         return values
@@ -182,10 +187,7 @@ class ModbusLink:
 
     def _block(self, address: int, count: int) -> bytes:
         """One block of input registers."""
-        answer = self._ask("read_input_registers", address, count=count)
-        if len(answer.registers) != count:
-            self._fail("a block of data was cut short")
-        return to_bytes(answer.registers)
+        return to_bytes(self._ask("read_input_registers", address, count=count).registers)
 
     def _fast_block(self, connection: socket.socket, address: int, count: int) -> bytes:
         """The same on a socket, past the library's way through objects, which takes longer than the network."""
@@ -226,6 +228,9 @@ class ModbusLink:
                 self._fail(f"the connection was closed without an answer from unit {self._unit}; {_REACH}")
             except (ModbusException, OSError, ValueError, IndexError) as error:
                 self._fail(reason(error).removeprefix("Modbus Error: "))
+            if not _answers(answer, verb, *arguments, **more):
+                time.sleep(self._late_s)
+                self._fail("the answer belongs to another request, or is cut short")
             if answer.isError():
                 code = getattr(answer, "exception_code", 0)
                 if code not in _REFUSALS:
@@ -236,6 +241,17 @@ class ModbusLink:
     def _fail(self, message: str) -> Any:
         self.close()
         raise BusError(message)
+
+
+def _answers(answer: ModbusPDU, verb: str, address: int, registers: list[int] | None = None, count: int = 0) -> bool:
+    """Whether it is this request's: pymodbus takes any, and RTU has no numbers by which one that is late would show."""
+    if answer.isError():
+        return answer.function_code == _FUNCTIONS[verb] | _EXCEPTION
+    if answer.function_code != _FUNCTIONS[verb]:
+        return False
+    if registers is None:
+        return len(answer.registers) == count
+    return (answer.address, answer.count) == (address, len(registers))
 
 
 def _exception(code: int, unit: int) -> str:

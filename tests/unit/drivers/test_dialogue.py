@@ -50,6 +50,21 @@ def test_a_controller_that_has_restarted_counts_anew() -> None:
     assert [dialogue.status()["snapshot"] for _ in range(2)] == [7, 1]
 
 
+def test_a_count_that_begins_anew_is_believed_once_it_goes_on() -> None:
+    """A vendor's counter may have 16 bits, which some twenty minutes of a campaign use up, or no boot_id beside it."""
+    dialogue = Dialogue(_Answers((0, 65535), *((0, n) for n in range(20))), patience_s=1.0)
+    assert dialogue.status()["snapshot"] == 65535
+    first = dialogue.status()["snapshot"]
+    assert isinstance(first, int)
+    assert first < 10
+    assert dialogue.status()["snapshot"] == first + 1
+
+
+def test_older_statuses_one_after_the_other_are_not_believed_when_they_do_not_go_on() -> None:
+    dialogue = Dialogue(_Answers((1, 70), *((1, n) for n in (6, 6, 7, 6, 8, 7, 71))), patience_s=10.0)
+    assert [dialogue.status()["snapshot"] for _ in range(2)] == [70, 71]
+
+
 def test_one_answer_that_a_stop_has_spoilt_on_a_shared_line_is_asked_for_again() -> None:
     dialogue = Dialogue(_Answers((1, 7), (1, 7), (1, 8)), patience_s=10.0)
     dialogue.status()

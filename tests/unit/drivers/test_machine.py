@@ -152,6 +152,23 @@ def test_fault_from_outside_trips(device: RigDevice) -> None:
         device.measure(TONE, token)
 
 
+def test_trip_that_is_acknowledged_while_its_tone_ramps_down_is_cleared() -> None:
+    """It was told as done, and still latched: of the next tone that was a trip at an amplitude never played."""
+    device = RigDevice(reference_rig(), seed=1, real_time=True)
+    token = device.acquire("host", attached=True)
+    strong = Tone(axis=0, amplitude_a=5.9, periods=1, samples=200)
+    tone = threading.Thread(target=pytest.raises, args=(TripError, device.measure, strong, token))
+    tone.start()
+    try:
+        _wait(lambda: device.status().trip is TripCause.DISPLACEMENT)
+        device.acknowledge(token)
+        tone.join()
+        assert device.status().trip is TripCause.NONE
+        assert device.measure(TONE, token).tone == TONE
+    finally:
+        device.close()
+
+
 def test_events_tell_the_story_in_order(device: RigDevice) -> None:
     token = device.acquire("host", attached=True)
     device.measure(TONE, token)

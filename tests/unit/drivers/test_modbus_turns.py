@@ -8,6 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 import pytest
+from pymodbus.pdu.register_message import WriteMultipleRegistersResponse
 
 from drivers.modbus.driver import ModbusLink
 from drivers.modbus.map import DEFAULT_MAP
@@ -48,6 +49,25 @@ def test_a_stop_goes_before_a_heartbeat_and_that_before_data_and_equals_as_they_
     for thread in threads:
         thread.join()
     assert order == ["stop", "beat", "status", "record"]
+
+
+def test_a_heartbeat_that_is_due_again_at_once_leaves_the_line_to_others_in_between() -> None:
+    """On a slow line, or with an adapter that takes its time, a beat takes longer than the time to the next one."""
+    turns, order = Turns(), list[str]()
+    with turns.turn(Urgency.BEAT):
+        threads = [
+            _asks(turns, urgency, order, name)
+            for urgency, name in (
+                (Urgency.DATA, "status"),
+                (Urgency.BEAT, "beat"),
+                (Urgency.BEAT, "next beat"),
+                (Urgency.DATA, "record"),
+                (Urgency.BEAT, "last beat"),
+            )
+        ]
+    for thread in threads:
+        thread.join()
+    assert order == ["status", "beat", "record", "next beat", "last beat"]
 
 
 def test_who_asks_again_at_once_stands_behind_those_that_waited() -> None:
@@ -106,12 +126,9 @@ class _Client:
     def connect(self) -> bool:
         return True
 
-    def write_registers(self, address: int, registers: list[int], device_id: int) -> _Client:
+    def write_registers(self, address: int, registers: list[int], device_id: int) -> WriteMultipleRegistersResponse:
         self.written.append(address)
-        return self
-
-    def isError(self) -> bool:
-        return False
+        return WriteMultipleRegistersResponse(address=address, count=len(registers))
 
 
 def test_a_stop_goes_before_the_heartbeat_and_that_before_a_tone_whoever_came_first() -> None:

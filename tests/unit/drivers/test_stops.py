@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 
 import pytest
 
@@ -444,6 +445,19 @@ def test_a_tone_that_does_not_end_is_stopped_and_told_with_the_controller(stuck)
         with pytest.raises(OverdueError, match=told):
             controller.measure(SHORT)
         assert (bus.front.exciting(), bus.front.device.status().trip) == (False, TripCause.NONE)
+
+
+def test_a_tone_whose_bus_was_away_does_not_let_the_next_one_go_on_for_longer(stuck) -> None:
+    bus, controller = stuck(heeds=True)
+    endless, bus.front.device.arm = bus.front.device.arm, partial(RigDevice.arm, bus.front.device)
+    bus.before = lambda group: time.sleep(3.0) if group == "tone" else None
+    with controller.lease("job"):
+        controller.measure(SHORT)
+        bus.before, bus.front.device.arm = (lambda group: None), endless
+        began = time.monotonic()
+        with pytest.raises(OverdueError):
+            controller.measure(SHORT)
+    assert time.monotonic() - began < 5.0, "twice as long as the tone before had taken"
 
 
 def test_a_tone_that_ends_neither_by_itself_nor_by_a_stop_is_ended_by_the_watchdog(stuck) -> None:
