@@ -25,10 +25,11 @@ SPECTRAL_BLOCKS = BLOCKS
 
 
 def text(value: Any) -> str:
-    """Text of an attribute or scalar dataset, whatever string type the file used."""
+    """Text of an attribute or scalar dataset, whatever string type the file used; what is no text in it is marked."""
     if isinstance(value, np.ndarray):
         value = value.item() if value.size == 1 else "".join(str(v) for v in value.ravel())
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    raw = value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogateescape")
+    return raw.decode("utf-8", "replace")
 
 
 def number(where: str, name: str, value: Any) -> float:
