@@ -150,7 +150,7 @@ def shape(rig: Rig, version: RigVersion) -> RigShape:
         id=rig.id,
         name=rig.name,
         version=version.version,
-        axes=list(rig_file.parse(version.datasheet).axes),
+        axes=list(rig_file.kept_axes(version.datasheet)),
         controller_url=version.controller_url,
         datasheet=version.datasheet,
         note=version.note,
