@@ -178,6 +178,8 @@ def _checked(wanted: RigWanted, services: Services) -> str:
             f"the name of a rig has at most {LONGEST_NAME} characters, none of which is a control character; give "
             "another one, or the field name"
         )
+    if name != name.strip():  # it would look like another rig's, or like none
+        raise UnprocessableError(f"the name {name!r} begins or ends with a space; leave it out, or give the field name")
     return name
 
 
