@@ -112,6 +112,12 @@ def test_a_text_in_another_encoding_can_be_written_again(tmp_path, write_hdf5, d
     assert read(tmp_path / "again.h5").rig == found.rig
 
 
+def test_a_text_that_a_terminal_would_obey_is_marked_and_others_are_kept(write_hdf5, demodulated):
+    """What is read is told on terminals: the name of the rig in a note of a diagnosis."""
+    found = read(write_hdf5(demodulated, {"comment": "up\u00a0to\t900\u202fHz, 20 °C"}, {"rig": "a\x1b]0;title\x07"}))
+    assert (found.rig, found.main.comment) == ("a\ufffd]0;title\ufffd", "up\u00a0to\t900\u202fHz, 20 °C")
+
+
 def test_another_time_origin_is_moved(write_hdf5, demodulated):
     turn = np.exp(0.7j * np.arange(4))[None, None, :, None]
     turned = {k: v * turn if k in "RUIY" else v for k, v in demodulated.items()}
