@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from drivers.errors import AddressError
@@ -32,6 +33,7 @@ _WHOLE = {
 PORTS = {"modbus": 502, "modbuss": 802}
 """Where a controller listens whose URL names no port."""
 HIGHEST_PORT = 65535
+_DIGITS = re.compile(r"-?[0-9]+")
 
 
 def understood(url: str) -> tuple[SplitResult, Query]:
@@ -53,11 +55,15 @@ def understood(url: str) -> tuple[SplitResult, Query]:
         schemes = ", ".join(f"{scheme}://" for scheme in _OPTIONS)
         raise AddressError(f"{url!r} has no known scheme; use one of {schemes}")
     known = _OPTIONS[parts.scheme]
-    query = {name: values[-1] for name, values in parse_qs(parts.query, keep_blank_values=True).items()}
+    given = parse_qs(parts.query, keep_blank_values=True)
+    query = {name: values[-1] for name, values in given.items()}
     if unknown := sorted(set(query) - known):
         raise AddressError(
             f"{url!r} has an unknown option {unknown[0]!r}; {parts.scheme}:// knows {', '.join(sorted(known))}"
         )
+    if repeated := sorted(name for name, values in given.items() if len(values) > 1):
+        raise AddressError(f"{url!r} has the option {repeated[0]} more than once; leave one of them")
+    _must_be_heard(parts)
     for name, text in query.items():
         if (parts.scheme, name) in _WHOLE:
             _must_be_whole(name, text, *_WHOLE[parts.scheme, name])
@@ -65,8 +71,25 @@ def understood(url: str) -> tuple[SplitResult, Query]:
     return parts, query
 
 
+def _must_be_heard(url: SplitResult) -> None:
+    """Refuse what no driver would read: with an option in the wrong place, another unit or rig than is meant moves."""
+    text = url.geturl()
+    if url.scheme in PORTS and "@" in url.netloc:
+        raise AddressError(f"a {url.scheme}:// address holds no user or password; leave out what is before the @")
+    if url.fragment:
+        raise AddressError(f"{text!r}: what is behind # means nothing here; a # that belongs to an option is %23")
+    if url.scheme in PORTS and url.path not in ("", "/"):
+        raise AddressError(f"{text!r} has the path {url.path!r}; options are behind a question mark, as ?unit=1")
+    if url.scheme == "simulated" and (url.netloc or url.path not in ("", "/")):
+        raise AddressError(f"{text!r}: a datasheet is an option, write simulated://?rig=rig.toml")
+    if url.scheme == "modbus+rtu" and url.netloc:
+        raise AddressError(f"{text!r} has a host {url.netloc!r}; write modbus+rtu:///dev/ttyUSB0?baud=115200")
+
+
 def _must_be_whole(name: str, text: str, least: int, most: int) -> None:
     try:
+        if not _DIGITS.fullmatch(text):  # int() would read 1_0 as 10
+            raise ValueError(text)
         value = int(text)
     except ValueError as error:
         raise AddressError(f"the option {name} is a whole number, not {text!r}") from error

@@ -22,6 +22,8 @@ def must_be_encodable(host: str) -> None:
     ...
     ValueError: a part of the host 'rig..plant' is empty or longer than 63 letters
     """
+    if any(letter.isspace() for letter in host):
+        raise ValueError(f"the host {host!r} has a space")
     import idna  # its tables: most who take an address apart have a number there
 
     name = host if host.isascii() else idna.encode(host.lower()).decode("ascii")

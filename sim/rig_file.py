@@ -318,6 +318,15 @@ def parse(text: str, source: str = "rig.toml") -> Datasheet:
     return datasheet
 
 
+def kept_axes(text: str) -> tuple[str, ...]:
+    """Axes of a datasheet that was read once and kept; what is shown of it does not end where newer rules refuse it.
+
+    >>> kept_axes('rig.axes = ["xA", "xB"]  # and a rotor that no rig has any more')
+    ('xA', 'xB')
+    """
+    return tuple(tomllib.loads(text.removeprefix(BYTE_ORDER_MARK))["rig"]["axes"])
+
+
 def _tables(text: str, source: str) -> Any:
     """What TOML text holds, whole numbers as floating ones."""
     try:

@@ -62,12 +62,16 @@ def example(prefix: str) -> str:
 
 def _words(prefix: str) -> str:
     name = "; not its name" if prefix == "rig" else ""
+    return f"the id of {_a(prefix)}, {prefix}_ and 26 digits and small letters, as {example(prefix)}{name}"
+
+
+def _a(prefix: str) -> str:
     kind = KINDS[prefix]
-    return f"the id of a {kind}, {prefix}_ and 26 digits and small letters, as {example(prefix)}{name}"
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
 def _place_words(prefix: str) -> str:
-    return f"the id of a {KINDS[prefix]} and when it was made, as {example(prefix)}.1764547200000000"
+    return f"the id of {_a(prefix)} and when it was made, as {example(prefix)}.1764547200000000"
 
 
 WORDS = {pattern(prefix): _words(prefix) for prefix in KINDS} | {

@@ -17,6 +17,7 @@ from service.api.problems import UnprocessableError
 from service.storage import idempotency
 from service.storage.database import Database, now
 from service.storage.tables import IdempotencyRow
+from sim.errors import AmbError
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,8 @@ def once(
             if found.request_sha256 != digest:
                 raise UnprocessableError(f"the Idempotency-Key {key!r} was used for another request; take a new one")
             return Answer(found.status, found.location, found.body), True
-        before()
         try:
+            before()
             with database.write() as session:
                 answer = make(session)
                 idempotency.keep(
@@ -94,4 +95,8 @@ def once(
             return answer, False
         except IntegrityError:  # another request with this key was quicker: its answer is there now
             continue
+        except AmbError:  # perhaps for what that one did, as a name that it took
+            with database.read() as session:
+                if idempotency.find(session, who.key_id, key) is None:
+                    raise
     raise UnprocessableError(f"the Idempotency-Key {key!r} collides with another request; take a new one")

@@ -57,10 +57,11 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     Raises
     ------
     StorageError, OutputError
-        A database cannot be read, or the folder cannot be written.
+        There is no database or it cannot be read, or the folder cannot be written.
     ConflictError
         Another backup into the folder is being made.
     """
+    _must_be_there(settings)
     ready_folder(folder, PRIVATE)
     with sole_use(folder, "another backup", "wait for its end, or give this one another folder"):
         try:
@@ -70,6 +71,15 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
             raise OutputError(
                 f"cannot write the backup into {folder}: {error.strerror or error}; free space or choose another folder"
             ) from error
+
+
+def _must_be_there(settings: Settings) -> None:
+    """Refuse a home in which nothing was ever kept: backups of it would take the place of those that are removed."""
+    source = sqlite_file(settings.database)
+    if source is not None and not source.exists():
+        raise StorageError(
+            f"{source} does not exist, so there is nothing to back up; give the service's own --home, or AMBIT_HOME"
+        )
 
 
 def _clear(folder: Path) -> None:

@@ -12,7 +12,7 @@ from uuid import uuid4
 import httpx
 
 from service.access.loopback import is_loopback
-from service.client.errors import ApiError, UnreachableError, of_response
+from service.client.errors import ApiError, ClientError, UnreachableError, of_response
 from service.client.shapes import Page
 from service.errors import OutputError
 from sim.errors import reason
@@ -101,8 +101,8 @@ class Transport:
         waiting: Waiting = quietly,
     ) -> None:
         headers = {"Accept": "application/json", "User-Agent": "ambit-client"}
-        if key:
-            headers["Authorization"] = f"Bearer {key}"
+        if key := (key or "").strip():  # a file's end of line
+            headers["Authorization"] = f"Bearer {_sendable(key)}"
         self.url = url.rstrip("/")
         self.shows_key = bool(key)
         self.patience_s = patience_s
@@ -271,6 +271,13 @@ class Transport:
 
 def _given(query: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in query.items() if value is not None}
+
+
+def _sendable(key: str) -> str:
+    """A key that a header can hold; another one is not shown, as it may be most of a real one."""
+    if not (key.isascii() and key.isprintable()):
+        raise ClientError("the API key holds a character that no key has; give it as it was printed when it was made")
+    return key
 
 
 def _authority(ca: Path | str) -> Any:

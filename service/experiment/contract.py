@@ -25,10 +25,16 @@ SPECTRAL_BLOCKS = BLOCKS
 
 
 def text(value: Any) -> str:
-    """Text of an attribute or scalar dataset, whatever string type the file used."""
+    """Text of an attribute or scalar dataset, whatever string type the file used; what is no text in it is marked."""
     if isinstance(value, np.ndarray):
         value = value.item() if value.size == 1 else "".join(str(v) for v in value.ravel())
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    decoded = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return "".join(c if _can_be_shown(c) else "\N{REPLACEMENT CHARACTER}" for c in decoded)
+
+
+def _can_be_shown(letter: str) -> bool:
+    """Whether it is neither half a character nor what a terminal would obey."""
+    return letter.isprintable() or letter in "\t\n" or (letter.isspace() and letter > "\x9f")
 
 
 def number(where: str, name: str, value: Any) -> float:

@@ -119,10 +119,10 @@ def _from_tree(path: Path, tree: Mapping[str, Any]) -> Experiment:
     )
 
 
-def _order(name: str) -> tuple[int, str]:
-    """10 after 9."""
-    digits = "".join(c for c in name if c.isdigit())
-    return (int(digits) if digits else 0, name)
+def _order(name: str) -> tuple[int, str, str]:
+    """10 after 9; as text, since not all that Unicode has for digits, nor thousands of them, are a number to Python."""
+    digits = "".join(c for c in name if c in "0123456789").lstrip("0")
+    return (len(digits), digits, name)
 
 
 def _axes(path: Path, value: Any) -> tuple[str, ...]:

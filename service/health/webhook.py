@@ -231,15 +231,16 @@ def checked_url(url: str, loopback: bool = True) -> str:
     Raises
     ------
     WebhookError
-        Not http or https, no host or one that no name server can know, a password, a space or a control character; or
-        an address as of `permitted_address`.
+        Not http or https, no host or one that no name server can know, port 0, a password, a space or a control
+        character; or an address as of `permitted_address`.
     """
     if any(c <= " " or c == "\x7f" for c in url):  # looked for first: urlsplit leaves some of them out
         raise WebhookError(f"webhook address {url!r} has a space or control character; write it as %20 and the like")
     try:
         parts = urlsplit(url)
         host = parts.hostname
-        _ = parts.port
+        if parts.port == 0:
+            raise ValueError("no receiver has the port 0")
         if host:
             _must_be_sendable(host)
     except ValueError as error:

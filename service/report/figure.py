@@ -235,7 +235,7 @@ def log_frequency(low_hz: float, high_hz: float) -> Axis:
 
 def log_magnitude(values: Sequence[Real], floor: float = 0.0) -> Axis:
     """Axis options: logarithmic over the values, one label a decade, or at 1, 2 and 5 where there are few decades."""
-    every = np.concatenate([np.abs(np.asarray(v, dtype=float)).ravel() for v in values])
+    every = np.concatenate([np.empty(0), *(np.abs(np.asarray(v, dtype=float)).ravel() for v in values)])
     every = every[np.isfinite(every) & (every > floor)]
     if not len(every):
         return {"type": "log"}

@@ -448,6 +448,15 @@ def test_an_unfinished_backup_is_no_backup(tmp_path):
         restore(Settings(home=tmp_path / "new"), tmp_path / "20260101T000000Z")
 
 
+def test_a_home_in_which_no_service_was_is_not_backed_up(tmp_path):
+    """Its empty backups would be the newest ones, and those of the service would be removed."""
+    wrong = Settings(home=tmp_path / "wrong")
+    with pytest.raises(StorageError, match=r"wrong/ambit\.db does not exist, so there is nothing to back up"):
+        create(wrong, tmp_path / "backups")
+    assert not (tmp_path / "backups").exists()
+    assert not wrong.home.exists()
+
+
 def test_old_backups_are_removed_and_share_their_files(tmp_path):
     settings = Settings(home=tmp_path / "home")
     lived_in(settings)

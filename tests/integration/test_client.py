@@ -258,6 +258,18 @@ def test_errors_say_what_to_do(ambit):
         ambit.rigs.named("nobody")
 
 
+def test_a_key_is_never_shown_however_it_was_copied(service, capsys, monkeypatch):
+    monkeypatch.setenv("AMBIT_KEY", f"{service.operator}\r\n")  # of a file as some editors write one
+    assert run(["rigs", "--url", service.url]) == 0
+    for broken in ("ambit_secret\r\nambit_other", "ambit_secr\u00e9t"):
+        monkeypatch.setenv("AMBIT_KEY", broken)
+        capsys.readouterr()
+        assert run(["rigs", "--url", service.url]) == 1
+        told = capsys.readouterr().err
+        assert "the API key holds a character that no key has" in told
+        assert "secr" not in told
+
+
 @pytest.mark.parametrize(
     ("job", "status", "said"),
     [

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Request, Response
 from pydantic import ConfigDict
+from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import BusError, ControllerError
 from service import bootstrap
@@ -33,6 +34,7 @@ from service.campaign.leased import acknowledged
 from service.errors import ConflictError
 from service.storage import jobs, rigs
 from service.storage.audit import holding
+from sim.errors import reason
 
 if TYPE_CHECKING:
     from drivers.controller import Controller
@@ -390,9 +392,19 @@ async def stop_rig(request: Request, rig_id: RigId, who: Operator, api: Api) -> 
     holders, failures = await lines.stop(urls)
     # One whose lease began only after the stop has not heard of it, though the controller names it by now.
     hear = holders & leased
-    ended = await to_thread.run_sync(
-        _stopped, request, rig_id, who, api, urls, hear, bool(failures), limiter=lines.stops
-    )
+    try:
+        ended = await to_thread.run_sync(
+            _stopped, request, rig_id, who, api, urls, hear, bool(failures), limiter=lines.stops
+        )
+    except SQLAlchemyError as error:
+        if not (reached := sorted(urls - set(failures))):
+            raise
+        log.error("what a stop ends cannot be written down: %s", reason(error))
+        missed = "".join(f"; the stop did not reach the controller {url}: {failures[url]}" for url in sorted(failures))
+        raise UnavailableError(
+            f"the excitation was ended at {', '.join(reached)}, but the database cannot be written, and jobs that wait "
+            f"may move the rotor again: see to the database and its disk, then stop once more{missed}"
+        ) from error
     if failures:
         told = "; ".join(f"{url}: {why}" for url, why in sorted(failures.items()))
         asked = f"; asked to end: {', '.join(ended)}" if ended else ""

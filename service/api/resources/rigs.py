@@ -150,7 +150,7 @@ def shape(rig: Rig, version: RigVersion) -> RigShape:
         id=rig.id,
         name=rig.name,
         version=version.version,
-        axes=list(rig_file.parse(version.datasheet).axes),
+        axes=list(rig_file.kept_axes(version.datasheet)),
         controller_url=version.controller_url,
         datasheet=version.datasheet,
         note=version.note,
@@ -178,6 +178,8 @@ def _checked(wanted: RigWanted, services: Services) -> str:
             f"the name of a rig has at most {LONGEST_NAME} characters, none of which is a control character; give "
             "another one, or the field name"
         )
+    if name != name.strip():  # it would look like another rig's, or like none
+        raise UnprocessableError(f"the name {name!r} begins or ends with a space; leave it out, or give the field name")
     return name
 
 

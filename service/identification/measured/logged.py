@@ -29,8 +29,8 @@ DIFFERS = 0.01
 BEYOND_NOISE = 5.0
 """And how many times the noise of its mean it must be."""
 SPOILT = 3.0
-"""Times that of the blocks before it, from which u - r + C y of a block is no chance: a median over hundreds of points
-scatters by a few per cent."""
+"""Times that of the blocks before it, from which u - r + C y of a block is no chance: the median over the points, each
+of which is compared with itself, so that sixteen are enough."""
 WORTH = 5e-4
 """Share of u below which u - r + C y of a block does no harm."""
 BLOCKS_LEFT = 3
@@ -149,13 +149,13 @@ def _spoilt(difference: _Difference, offset: float) -> NDArray[np.int64]:
 
     What rings, and what it leaves at the ends of blocks, decays from block to block: a later block is no worse for it.
     """
-    size = np.median(np.abs(difference.at(offset)) / np.abs(difference.u), axis=0)
-    before, spoilt = size[0], []
-    for k, here in enumerate(size[1:], start=1):
-        if here > max(SPOILT * before, WORTH):
+    share = np.abs(difference.at(offset)) / np.abs(difference.u)
+    before, spoilt = share[:, 0], []
+    for k, here in enumerate(share.T[1:], start=1):  # each point beside itself: their noise differs by far more
+        if np.median(here) > WORTH and np.median(here / np.maximum(before, 1e-300)) > SPOILT:
             spoilt.append(k)
         else:
-            before = max(before, here)
+            before = np.maximum(before, here)
     return np.array(spoilt, dtype=np.int64)
 
 

@@ -19,6 +19,8 @@ UNUSABLE = ("tripped", "excluded", "aborted", "lost")
 """A point whose flag has one of these words is left out of every fit."""
 SUSPECT = ("not settled", "unsettled", "is distorted")
 """A point whose flag has one of these counts little: its mean is off by more than its noise."""
+FEWEST_LINES = 5
+"""Different frequencies of an axis, below which no start of a fit is found, however often each was measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +221,7 @@ def check_excitation(points: PlanePoints, minimum: int = 8) -> None:
     Raises
     ------
     AmbError
-        Only one axis excited, or too few points.
+        Only one axis excited, too few points, or all of them at a few frequencies.
     """
     counts = np.bincount(points.axis, minlength=2)
     for axis in range(2):
@@ -233,6 +235,12 @@ def check_excitation(points: PlanePoints, minimum: int = 8) -> None:
         raise AmbError(
             f"plane {points.plane}: {counts[0]} and {counts[1]} usable points excite {points.axes[0]} and "
             f"{points.axes[1]}; at least {minimum} each are needed{why}"
+        )
+    lines = [len(same_frequency(points.omega[points.axis == axis])) for axis in range(2)]
+    if min(lines) < FEWEST_LINES:
+        raise AmbError(
+            f"plane {points.plane}: {points.axes[0]} and {points.axes[1]} are excited at {lines[0]} and {lines[1]} "
+            f"different frequencies; at least {FEWEST_LINES} each are needed, as many points as there may be of each"
         )
 
 

@@ -1,6 +1,7 @@
 """A rig as it is now: its controller away, a stop by hand, a rig that nobody else sees."""
 
 import math
+import sqlite3
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -8,9 +9,11 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import httpx
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from drivers.device.machine import RigDevice
 from drivers.device.serve import ModbusOptions, RtuOptions, serve_modbus, serve_modbus_rtu
@@ -152,6 +155,14 @@ def tripping():
     """A controller that a test can trip."""
     with closing(serve_modbus(RigDevice(reference_rig(), seed=1), ModbusOptions(port=0))) as served:
         yield served
+
+
+def test_a_stop_that_cannot_be_written_down_is_said_to_have_reached_the_controller(api, rig, tripping, monkeypatch):
+    full = OperationalError("UPDATE", {}, sqlite3.OperationalError("database or disk is full"))
+    monkeypatch.setattr(live.jobs, "cancel_moving", Mock(side_effect=full))
+    changed(api, rig, tripping.url)
+    told = api.post(f"/rigs/{rig}/stop")
+    assert_problem(told, 503, f"the excitation was ended at {tripping.url}", "jobs that wait may move the rotor again")
 
 
 def test_a_stop_that_the_controller_refuses_is_not_said_to_have_stopped_anything(api, rig, tripping, monkeypatch):

@@ -1,9 +1,14 @@
 """Requests that are sent again: done once under an Idempotency-Key."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from types import SimpleNamespace
 
 from sqlalchemy import select
 
+from service.access.keys import LOCAL
+from service.api.once import Answer, once
+from service.errors import ConflictError
 from service.storage.tables import JobRow
 from tests.support.api import assert_problem, commissioned
 from tests.support.uploads import good
@@ -21,6 +26,18 @@ def test_the_same_request_under_a_key_is_done_once(api, service, rig, experiment
     with service.services.database.read() as session:
         assert len(list(session.scalars(select(JobRow).where(JobRow.rig_id == rig)))) == 1
     assert_problem(api.post("/jobs", json={**body, "priority": 1}, headers=headers), 422, "another request")
+
+
+def test_a_request_that_is_sent_again_while_it_is_under_way_gets_the_first_answer(service, rig):
+    """It is refused for what the first one did, as a rig's name that is taken, once that is done."""
+    request = SimpleNamespace(method="POST", url=SimpleNamespace(path="/api/v1/rigs"))
+    ask = partial(once, service.services.database, LOCAL, request, f"under way {rig}", "")
+
+    def taken(session):
+        raise ConflictError("the name is taken")
+
+    first = Answer(201, f"/api/v1/rigs/{rig}", {"id": rig})
+    assert ask(taken, before=lambda: ask(lambda _: first)) == (first, True)
 
 
 def test_a_retry_that_is_sent_again_is_done_once(api, service, rig, experiment):

@@ -55,17 +55,17 @@ def test_a_method_that_there_is_not_is_told_as_that(api):
 @pytest.mark.parametrize(
     ("address", "kind", "own", "when"),
     [
-        ("/rigs", "rig", "rig", ""),
-        ("/jobs", "job", "job", ""),
-        ("/experiments", "experiment", "exp", MADE),
-        ("/models", "model", "mod", MADE),
-        ("/gaps", "gap diagnosis", "gap", MADE),
-        ("/health-checks", "health check", "hc", MADE),
-        ("/schedules", "schedule", "sch", ""),
-        ("/audit", "line of the audit log", "aud", ""),
-        ("/rigs/{rig}/stiffness", "model", "mod", MADE),
-        ("/rigs/{rig}/modes", "model", "mod", MADE),
-        ("/rigs/{rig}/trend", "health check", "hc", MADE),
+        ("/rigs", "a rig", "rig", ""),
+        ("/jobs", "a job", "job", ""),
+        ("/experiments", "an experiment", "exp", MADE),
+        ("/models", "a model", "mod", MADE),
+        ("/gaps", "a gap diagnosis", "gap", MADE),
+        ("/health-checks", "a health check", "hc", MADE),
+        ("/schedules", "a schedule", "sch", ""),
+        ("/audit", "a line of the audit log", "aud", ""),
+        ("/rigs/{rig}/stiffness", "a model", "mod", MADE),
+        ("/rigs/{rig}/modes", "a model", "mod", MADE),
+        ("/rigs/{rig}/trend", "a health check", "hc", MADE),
     ],
 )
 def test_a_cursor_that_no_page_has_given_is_told_and_gives_no_list(api, rig, address, kind, own, when):
@@ -74,7 +74,7 @@ def test_a_cursor_that_no_page_has_given_is_told_and_gives_no_list(api, rig, add
     wrong = ["page2", f"{own}_1", f"{own}_zzzzzzzzzzzzzzzzzzzzzzzzzz", last.replace(f"{own}_", f"{other}_") + when, ""]
     for bad in [*wrong, last, f"{last}.", f"{last}.-1"] if when else wrong:
         answer = api.get(address.format(rig=rig), params={"after": bad})
-        assert_problem(answer, 422, "query.after", f"the id of a {kind}", f"{own}_01k9", "`next`")
+        assert_problem(answer, 422, "query.after", f"the id of {kind}", f"{own}_01k9", "`next`")
     good = api.get(address.format(rig=rig), params={"after": last + when})
     assert good.status_code == 200, good.text
 

@@ -103,6 +103,11 @@ def test_a_name_that_a_terminal_would_obey_is_refused(api, name):
     assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": name}), 422, "control character")
 
 
+@pytest.mark.parametrize("name", ["   ", "compressor 3 ", " pump"])
+def test_a_name_that_looks_like_another_or_none_is_refused(api, name):
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": name}), 422, "begins or ends with a space")
+
+
 def test_requests_that_are_no_requests(api):
     assert_problem(api.get("/nothing"), 404, "/openapi.json")
     assert_problem(api.patch("/jobs"), 405, "PATCH", "/openapi.json")

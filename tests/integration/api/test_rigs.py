@@ -1,7 +1,7 @@
 """Rigs: versions and ETags, the baseline, retirement, histories."""
 
 from service.storage import jobs as rows
-from service.storage.tables import ModelRow
+from service.storage.tables import ModelRow, RigVersion
 from tests.support.api import assert_problem
 from tests.support.service import reference_sheet
 
@@ -26,6 +26,19 @@ def test_a_job_keeps_the_version_that_it_was_submitted_for(api, rig):
     tag = api.get(f"/rigs/{rig}").headers["etag"]
     api.put(f"/rigs/{rig}", json={"datasheet": SHEET, "note": "later"}, headers={"If-Match": tag})
     assert api.get(f"/jobs/{job['id']}").json()["rig_version"] == 1
+
+
+def test_a_datasheet_that_newer_rules_refuse_is_shown_and_can_be_changed(api, rig, service):
+    """It was kept by an earlier version; the other rigs are listed beside it."""
+    far = SHEET.replace("[0.418, 0.404]", "[6.0, 0.404]")
+    assert_problem(api.post("/rigs", json={"datasheet": far, "name": f"far {rig}"}), 422, "no rig has more than 5")
+    with service.services.database.write() as session:
+        session.get(RigVersion, (rig, 1)).datasheet = far
+    read = api.get(f"/rigs/{rig}")
+    assert (read.status_code, read.json()["axes"], read.json()["datasheet"]) == (200, ["xA", "xB", "yA", "yB"], far)
+    assert rig in [r["id"] for r in api.get("/rigs", params={"limit": 1000}).json()["items"]]
+    changed = api.put(f"/rigs/{rig}", json={"datasheet": SHEET}, headers={"If-Match": read.headers["etag"]})
+    assert (changed.status_code, changed.json()["version"]) == (200, 2)
 
 
 def test_the_baseline_is_a_model_of_the_rig(api, rig, experiment):

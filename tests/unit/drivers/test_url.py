@@ -77,6 +77,16 @@ def test_a_rig_simulated_from_a_datasheet_has_noise_as_large_beside_its_limits_a
         ("replay:///nowhere.jsonl", "cannot read the transcript"),
         ("modbus://host?map=/nowhere.toml", "cannot read the map"),
         ("simulated://?seed=many", "seed is a whole number"),
+        ("modbus://host?unit=1_0", "unit is a whole number, not '1_0'"),
+        ("modbus://host?unit=1&unit=2", "has the option unit more than once"),
+        ("modbus://host/unit=3", "has the path '/unit=3'; options are behind a question mark, as ?unit=1"),
+        ("modbuss://host:802#unit=3", "what is behind # means nothing here"),
+        ("modbus://user:secret@host", "a modbus:// address holds no user or password"),
+        ("modbus://ho st", "the host 'ho st' has a space"),
+        ("canopen://socketcan/can0?node=5#6", "what is behind # means nothing here"),
+        ("modbus+rtu://dev/ttyUSB0", "has a host 'dev'; write modbus+rtu:///dev/ttyUSB0"),
+        ("simulated://rig.toml", "a datasheet is an option, write simulated://?rig=rig.toml"),
+        ("simulated:///tmp/rig.toml?seed=1", "a datasheet is an option, write simulated://?rig=rig.toml"),
     ],
 )
 def test_wrong_url_is_refused_in_one_line(url: str, message: str) -> None:

@@ -96,6 +96,28 @@ def test_sweeps_are_in_order_of_their_number(tmp_path, experiment, write_hdf5, d
     assert [s.comment for s in read(path).sweeps] == ["main", "2", "10"]
 
 
+@pytest.mark.parametrize("name", ["²", "9" * 5000])
+def test_a_sweep_may_have_any_name(write_hdf5, demodulated, name):
+    path = write_hdf5(demodulated)
+    with h5py.File(path, "a") as file:
+        file.move("sweeps/0", f"sweeps/{name}")
+    assert [s.comment for s in read(path).sweeps] == ["main"]
+
+
+def test_a_text_in_another_encoding_can_be_written_again(tmp_path, write_hdf5, demodulated):
+    path = write_hdf5(demodulated, {"comment": b"f\xfcr \xb5m"}, {"rig": b"Pr\xfcfstand"})
+    found = read(path)
+    assert (found.rig, found.sweeps[0].comment) == ("Pr\ufffdfstand", "f\ufffdr \ufffdm")
+    write(tmp_path / "again.h5", found)
+    assert read(tmp_path / "again.h5").rig == found.rig
+
+
+def test_a_text_that_a_terminal_would_obey_is_marked_and_others_are_kept(write_hdf5, demodulated):
+    """What is read is told on terminals: the name of the rig in a note of a diagnosis."""
+    found = read(write_hdf5(demodulated, {"comment": "up\u00a0to\t900\u202fHz, 20 °C"}, {"rig": "a\x1b]0;title\x07"}))
+    assert (found.rig, found.main.comment) == ("a\ufffd]0;title\ufffd", "up\u00a0to\t900\u202fHz, 20 °C")
+
+
 def test_another_time_origin_is_moved(write_hdf5, demodulated):
     turn = np.exp(0.7j * np.arange(4))[None, None, :, None]
     turned = {k: v * turn if k in "RUIY" else v for k, v in demodulated.items()}

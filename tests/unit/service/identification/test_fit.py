@@ -206,6 +206,16 @@ def test_one_excited_input_is_refused_in_one_line(experiment: Experiment, datash
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_points_at_a_few_frequencies_are_refused_however_many_they_are(
+    experiment: Experiment, datasheet: Datasheet, count: int
+) -> None:
+    main = experiment.main
+    few = np.flatnonzero(np.isin(main.frequency_hz, np.unique(main.frequency_hz)[4 : 4 + count]))
+    with pytest.raises(AmbError, match=f"plane x: xA and xB are excited at {count} and {count} different frequencies"):
+        identify(replace(experiment, sweeps=(main.select(np.tile(few, 8)),)), datasheet)
+
+
 def test_one_block_is_refused(experiment: Experiment, datasheet: Datasheet) -> None:
     main = experiment.main
     single = replace(main, R=main.R[:, :1], U=main.U[:, :1], I=main.I[:, :1], Y=main.Y[:, :1])

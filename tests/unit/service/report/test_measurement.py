@@ -39,6 +39,11 @@ def test_more_sweeps_than_there_are_looks_are_all_drawn():
     assert {t["name"] for t in figure.data} == {f"{k} Hz" for k in range(60)}
 
 
+def test_a_campaign_that_was_stopped_in_its_first_look_has_a_report():
+    figure = amplitude_figure(of(sweep("preliminary", [10.0, 20.0])), reference_datasheet())
+    assert not figure.data
+
+
 def noise(*hz: float) -> Experiment:
     """Lines of 0.1 A over a second."""
     whole = sweep("", list(hz), "noise")

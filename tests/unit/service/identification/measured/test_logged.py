@@ -7,7 +7,7 @@ import pytest
 
 from service.experiment.data import Experiment
 from service.identification.fit import identify
-from service.identification.measured.logged import Checked, checked
+from service.identification.measured.logged import Checked, _Difference, _spoilt, checked
 from service.identification.plane.model import PlaneModel
 from service.identification.result.commissioning import CommissioningResult
 from sim.datasheet import Datasheet
@@ -96,6 +96,21 @@ def test_what_still_rings_in_the_first_blocks_is_no_lost_sample(experiment: Expe
     found = check(replace(experiment, sweeps=(ringing,)), datasheet)
     assert found.experiment.main is ringing
     assert found.warnings == ()
+
+
+def test_noise_in_a_few_points_that_differ_is_no_lost_sample() -> None:
+    """As in the coarse sweep of a health check: a median over all of them is that of one or two."""
+    rng = np.random.default_rng(0)
+    n, blocks = 16, 6
+    u = np.ones((n, blocks), dtype=complex)
+    for _ in range(1000):
+        noise = rng.standard_normal((n, blocks)) + 1j * rng.standard_normal((n, blocks))
+        noise *= 2e-3 * np.exp(1.5 * rng.standard_normal(n))[:, None]
+        found = _Difference(np.zeros(n, dtype=int), np.ones(n, dtype=complex), u, u - noise, 0 * u)
+        assert not len(_spoilt(found, 0.0))
+        found.u[:, 4] += 0.05  # what lost samples do is larger by far
+        assert _spoilt(found, 0.0).tolist() == [4]
+        found.u[:, 4] -= 0.05
 
 
 def test_too_few_blocks_are_kept_and_the_remedy_told(experiment: Experiment, datasheet: Datasheet) -> None:
