@@ -265,8 +265,9 @@ def test_a_plane_is_asked_again_where_the_other_one_rang(hasty: Sweep, monkeypat
         axis=np.concatenate([hasty.axis, 3 - hasty.axis]),
     )
     result = identify(synthetic_experiment(untold(both), axes=SHEET.axes), SHEET)
-    assert [plane for plane, *_ in asked] == ["x", "y", "y"]
-    (_, first, early), (_, none, _), (_, length, suspected) = asked
+    # what then does not agree is looked for in other values of the geometry
+    assert [plane for plane, *_ in asked[:3]] == ["x", "y", "y"]
+    (_, first, early), (_, none, _), (_, length, suspected) = asked[:3]
     assert first is none is None
     assert not early
     assert suspected
