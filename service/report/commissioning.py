@@ -193,7 +193,13 @@ def _adjusted(result: CommissioningResult) -> Iterator[str]:
     """What is held in place of the datasheet's values."""
     if result.adjusted:
         rows = [
-            [a.in_words, *figures(a.value, a.std), number(a.datasheet, 6), number(a.tolerance, 2), f"{a.off:+.1f}"]
+            [
+                ", ".join(filter(None, (a.in_words, a.unit))),
+                *figures(a.value, a.std),
+                number(a.datasheet, 6),
+                number(a.tolerance, 2),
+                f"{a.off:+.1f}",
+            ]
             for a in result.adjusted
         ]
         head = [
@@ -207,8 +213,8 @@ def _adjusted(result: CommissioningResult) -> Iterator[str]:
         yield table(head, rows)
         yield paragraph(
             "Mass, geometry and sensor gains are the datasheet's where these explain the data. Here they do not, and "
-            "these, each as likely as its tolerance says, do. SI units; centre of gravity towards A, sensors away from "
-            "the centre. A standard deviation close to the tolerance says that the data tell nothing of the value.",
+            "these, each as likely as its tolerance says, do: centre of gravity towards A, sensors away from the centre. "
+            "A standard deviation close to the tolerance says that the data tell nothing of the value.",
             "small",
         )
 

@@ -9,12 +9,13 @@ from service.identification.arrays import Real
 from service.identification.plane.model import PlaneModel
 
 WORDS = {
-    "mass_kg": "mass",
-    "transverse_inertia_kgm2": "transverse inertia",
-    "centre_of_gravity_m": "centre of gravity",
-    "sensor_shift_A_m": "place of the sensors A",
-    "sensor_shift_B_m": "place of the sensors B",
+    "mass_kg": ("mass", "kg"),
+    "transverse_inertia_kgm2": ("transverse inertia", "kg m²"),
+    "centre_of_gravity_m": ("centre of gravity", "m"),
+    "sensor_shift_A_m": ("place of the sensors A", "m"),
+    "sensor_shift_B_m": ("place of the sensors B", "m"),
 }
+"""What a value is, and its unit; all others are gains."""
 
 
 GAINS = ("sensor_gain_A", "sensor_gain_B")
@@ -65,7 +66,12 @@ class Adjusted:
     @property
     def in_words(self) -> str:
         """What it is."""
-        return WORDS[self.name] if self.name in WORDS else self.name.replace("_", " ")
+        return WORDS[self.name][0] if self.name in WORDS else self.name.replace("_", " ")
+
+    @property
+    def unit(self) -> str:
+        """Its unit; "" for a gain."""
+        return WORDS[self.name][1] if self.name in WORDS else ""
 
     def document(self) -> dict[str, Any]:
         """As JSON."""

@@ -182,4 +182,5 @@ def test_the_report_shows_what_is_held(
 ) -> None:
     page = commissioning_page(off_result, measured(rig, datasheet, controller), datasheet)
     assert "held within the datasheet" in page
-    assert "place of the sensors B" in page
+    assert "place of the sensors B, m" in page
+    assert "transverse inertia, kg m²" in page
