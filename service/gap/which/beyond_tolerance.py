@@ -18,7 +18,7 @@ from service.gap.fitting.part import STANDSTILL, Ground
 from service.gap.fitting.stage import EXACT
 from service.gap.weighing.another_rig import SET_THE_SCALE
 from service.gap.weighing.ranking import Ranked, beyond_chance, noise_levels, ranked, renormalised
-from service.gap.which.mixtures import STRAINED
+from service.gap.which.mixtures import STRAINED, with_aliases
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]
@@ -48,10 +48,24 @@ def beyond_tolerance(fitter: Fitter, ground: Ground, order: Sequence[Ranked], mo
         found = [r for r in fitted if r is not None and r.log_evidence > best.log_evidence]
         if not found:
             break
+        found += _with_aliases(fitter, ground, order, max(found, key=lambda r: r.log_evidence))
         named = {r.candidate.effects for r in found}
         rest = [r for r in order if r.candidate.effects not in named]
         order = renormalised(sorted([*found, *rest], key=lambda r: -r.log_evidence))
     return order
+
+
+def _with_aliases(fitter: Fitter, ground: Ground, order: Sequence[Ranked], named: Ranked) -> list[Ranked]:
+    """What ``named`` has with an alias in the place of one of its effects: beside a stated value's error that may fit.
+
+    Alone the alias may have made up for that error by less likely values, and so have been the worse of the two.
+    """
+    candidates = [r.candidate for r in order]
+    null = next(c for c in candidates if not c.effects)
+    swapped = with_aliases(fitter, ground, named.candidate, candidates)
+    weighed = {r.candidate: r for r in ranked(null, [*candidates, named.candidate, *swapped])}
+    beyond = named.log_evidence - weighed[named.candidate].log_evidence  # by which a stated value's error is likelier
+    return [replace(weighed[c], log_evidence=weighed[c].log_evidence + beyond) for c in swapped]
 
 
 def _possible(ground: Ground, beside: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from service.gap.fitting.part import Ground, parts
 from service.gap.measured.observation import observe
 from service.gap.weighing.ranking import Ranked, ranked
 from service.gap.which.beyond_tolerance import beyond_tolerance, others_strained
-from service.gap.which.search import plain_twin
+from service.gap.which.search import explain, plain_twin
 from sim.reference import reference_rig
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, lines, sweep, true_rig
@@ -132,3 +132,32 @@ def test_none_is_named_beside_an_effect_whose_law_gives_the_scale(scale: dict[st
     sheet = replace(datasheet, tolerance=replace(datasheet.tolerance, mass=0.005))
     named = diagnose(*one_plane(experiment(with_effects(true_rig(heavy), scale)), sheet)).verdict.effects
     assert set(named) == set(scale)
+
+
+def test_beside_it_the_alias_of_what_was_likelier_alone_is_tried() -> None:
+    """Alone, a mode of the rotor may fit what a housing does under a rotor that is too heavy, and a housing not.
+
+    A mode's shape has the mass's error in it. The two were told as a mode on a rotor of another inertia.
+    """
+    datasheet, truth = known_datasheet(seed=4)
+    nu = nuisance(
+        replace(
+            datasheet,
+            tolerance=replace(datasheet.tolerance, mass=0.005, transverse_inertia=0.01),
+            tolerance_stated=True,
+        )
+    )
+    housing = {"inverse_mass_per_kg": 1 / 1300, "frequency_hz": 165.0, "damping_ratio": 0.03}
+    both = {"support_resonance": housing, "rotor_inertia": {"mass_change": 0.06, "inertia_change": 0.0}}
+    o = observe(sweep(with_effects(true_rig(truth), both), lines(40), 0.4, 3), nu.rig)
+    part = replace(parts(nu, (o,))[-1], effects=("extra_flexible_mode", "support_resonance", "rotor_inertia"))
+    ground = Ground(nu, part, (o,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        order = [r for r in explain(fitter, ground, most=1).order if r.candidate.effects != ("rotor_inertia",)]
+        first = max(r.log_evidence for r in order) + 1
+        mode_first = sorted(
+            (replace(r, log_evidence=first) if "extra_flexible_mode" in r.candidate.effects else r for r in order),
+            key=lambda r: -r.log_evidence,
+        )
+        best, *_ = beyond_tolerance(fitter, ground, mode_first, most=3)
+    assert set(best.candidate.effects) == set(both)
