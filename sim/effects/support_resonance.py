@@ -63,8 +63,8 @@ def _like_a_mode(values: Mapping[str, float]) -> Sequence[Mapping[str, float]]:
     shape |= {name: values[name] for name in OF_PLANES if name in values}
     both, more = at_a * sensed_a + at_b * sensed_b, at_a * sensed_a - at_b * sensed_b
     same_way = at_a * at_b >= 0 or abs(more) > AT_ONE_END * both
-    if same_way and LEANS * both < abs(more) <= both:
-        return [{"inverse_mass_per_kg": both / 2, "end_imbalance": more / both, **shape}]
+    if same_way and LEANS * both < abs(more) <= both / AT_ONE_END:
+        return [{"inverse_mass_per_kg": both / 2, "end_imbalance": min(max(more / both, -1.0), 1.0), **shape}]
     translation = (at_a + at_b) * (sensed_a + sensed_b) / 4
     of_mean = [{"inverse_mass_per_kg": translation, **shape}] if translation > 0 else []
     residue = (at_a - at_b) * (sensed_a - sensed_b) / 4
