@@ -49,7 +49,8 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
   page's number from 0 on (32 bits each, big-endian) and these bytes. Which part is shown, `window` says.
 
 Complex amplitudes: x(t) = Re(X exp(j h w t)), the time origin such that r at harmonic 1 is real and positive. r itself
-is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent. The payload's CRC-32
+is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent; a host asks for no other
+amplitude than a rig's own map can carry both ways, the next lower one where its steps are coarser. The payload's CRC-32
 covers the result's number (big-endian) and the bytes as they are sent.
 
 ## Refusals

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
 from drivers.device.lease import drawn_token
@@ -74,16 +75,18 @@ class RemoteController:
 
     def _identify(self) -> Capabilities:
         v = self._dialogue.read("identity", FIRST_PATIENCE_S)
+        amplitudes = self._dialogue.links.amplitudes
         return Capabilities(
             identity=str(v.get("identity", self._dialogue.links.description)),
             axes=tuple(str(v["axes"]).split()),
             sample_rate_hz=number(v["sample_rate_hz"]),
-            max_amplitude_a=number(v["max_amplitude_a"]),
+            max_amplitude_a=min(number(v["max_amplitude_a"]), amplitudes.largest_a),
             max_frequency_hz=number(v["max_frequency_hz"]),
             max_samples=whole(v["max_samples"], "identity.max_samples"),
             displacement_limit_m=number(v["displacement_limit_m"]),
             current_limit_a=number(v["current_limit_a"]),
             raw_records=bool(v["raw_records"]),
+            amplitude_steps_per_a=amplitudes.steps_per_a,
             raw_bytes_per_s=self._dialogue.links.raw_bytes_per_s,
         )
 
@@ -116,7 +119,7 @@ class RemoteController:
         """Excite with one tone, wait, measure, and ramp back to zero; see the protocol.
 
         Asked for a tone whose result the failing bus kept back, it fetches that one: what was measured once is not
-        measured again.
+        measured again. The amplitude is what the map can carry of the one that is wanted, and the result tells it.
         """
         self._measuring = True
         self._stop_asked.clear()  # first of all: what is said from now on is meant for this tone
@@ -124,7 +127,8 @@ class RemoteController:
         try:
             self._require_lease()
             check_tone(tone, self._capabilities)
-            return self._measured(tone)
+            carried_a = self._dialogue.links.amplitudes.carried(tone.amplitude_a)
+            return self._measured(replace(tone, amplitude_a=carried_a))
         finally:
             self._measuring = False
             self._dialogue.impatient.clear()

@@ -13,6 +13,7 @@ import can
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
+from drivers.amplitude import amplitudes
 from drivers.canopen.bus import has_a_line, open_network
 from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
 from drivers.canopen.dictionary import object_dictionary
@@ -68,6 +69,7 @@ class CanopenLinks:
         self._network: canopen.Network | None = None
         self._node: Any = None
         self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if bitrate and has_a_line(address) else None
+        self.amplitudes = amplitudes(s.obj for s in objects.subs if s.obj.name == "amplitude_a")
         self.changed = threading.Event()
         self.progress: Progress | None = None
         self.heard_at: float | None = None

@@ -16,6 +16,7 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
+from drivers.amplitude import amplitudes
 from drivers.errors import BusError
 from drivers.link import RefusedError, go_on
 from drivers.modbus.clients import TcpClient, TlsClient
@@ -323,6 +324,7 @@ class ModbusLinks:
     ) -> None:
         self.description = description
         self.raw_bytes_per_s = None if baud is None else RECORD_SHARE * baud / 10
+        self.amplitudes = amplitudes(e.obj for e in registers.entries if e.obj.name == "amplitude_a")
         self._make_client = make_client
         self._unit = unit
         self._map = registers

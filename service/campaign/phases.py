@@ -179,7 +179,7 @@ class Phases:
 
     def _point(self, phase: str, request: Request, aim: Aim) -> Point:
         """Measure one point until it is good or its tries are spent; what was wrong is written on it."""
-        rate = self.limits.sample_rate_hz
+        rate, steps = self.limits.sample_rate_hz, self.limits.amplitude_steps_per_a
         flags: list[str] = []
         trips = 0
         best: Point | None = None
@@ -196,9 +196,10 @@ class Phases:
                 ceiling = request.amplitude_a / 2
                 if best is not None:
                     break
-                if trips >= TRIPS:
+                lower = request.with_amplitude(ceiling, steps)
+                if trips >= TRIPS or lower.amplitude_a >= request.amplitude_a:
                     return self._given_up(request, outcome)
-                request = request.with_amplitude(ceiling)
+                request = lower
                 continue
             tries -= 1
             before, best = best, outcome
@@ -207,16 +208,19 @@ class Phases:
             self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
             verdict = judge(outcome, self.knowledge, aim, self.limits, before)
             a = min(verdict.better_amplitude_a, ceiling)
+            other = request.with_amplitude(a, steps)
+            lower_still = other.amplitude_a < request.amplitude_a
             slew = 2 * math.pi * outcome.frequency_hz * float(abs(outcome.I[:, 1, request.axis].mean()))
             (self.knowledge.saturated if verdict.saturated else self.knowledge.followed)(slew)
-            if verdict.saturated and tries > 1:
+            if verdict.saturated and tries > 1 and lower_still:
                 _mark(flags, "repeated at lower amplitude: the current was distorted")
-                request = request.with_amplitude(a)
+                request = other
                 ceiling = a
                 continue
-            if tries and (verdict.too_large or (verdict.too_small and a > 1.2 * request.amplitude_a)):
+            higher = verdict.too_small and other.amplitude_a > 1.2 * request.amplitude_a
+            if tries and (higher or (verdict.too_large and lower_still)):
                 _mark(flags, f"repeated at {'lower' if verdict.too_large else 'higher'} amplitude")
-                request = request.with_amplitude(a)
+                request = other
                 continue
             if verdict.saturated:
                 _mark(flags, "the current is distorted")
