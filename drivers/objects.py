@@ -58,7 +58,7 @@ class Object:
     description: str
     unit: str = ""
     per_unit: int = 1
-    """Counts on the wire per SI unit, for integer types."""
+    """Counts on the wire per SI unit."""
     low: float | None = None
     """Least value, SI; None for what the type holds."""
     high: float | None = None

@@ -42,7 +42,7 @@ def _counts(obj: Object, value: str | float) -> int | float:
     if (obj.low is not None and not value >= obj.low) or (obj.high is not None and not value <= obj.high):
         raise LimitError(f"{obj.name} = {value} {obj.unit} is outside {obj.low} to {obj.high} {obj.unit}".rstrip())
     if obj.type not in INTEGERS:
-        return float(value)
+        return float(value) * obj.per_unit
     low, high = INTEGERS[obj.type]
     if not low - 0.5 < value * obj.per_unit < high + 0.5:
         raise LimitError(f"{obj.name} = {value} {obj.unit} does not fit on the wire".replace("  ", " "))

@@ -15,6 +15,7 @@ from drivers.url import connect
 from service.campaign.aims import Profile
 from service.campaign.run import run_campaign
 from sim.reference import reference_datasheet, reference_rig
+from tests.support.vendor import assert_works_like_our_own
 
 TONE = Tone(axis=1, amplitude_a=0.1, periods=10, samples=1000, blocks=2)
 SHORT = Profile(
@@ -22,8 +23,9 @@ SHORT = Profile(
 )
 
 
-def coarse(per_unit: int = 1000) -> str:
-    amplitudes = "".join(f'[objects."{g}.amplitude_a"]\ntype = "U16"\nper_unit = {per_unit}\n' for g in ("tone", "result"))
+def coarse(type_: str = "U16", per_unit: int | None = 1000) -> str:
+    scale = "" if per_unit is None else f"per_unit = {per_unit}\n"
+    amplitudes = "".join(f'[objects."{g}.amplitude_a"]\ntype = "{type_}"\n{scale}' for g in ("tone", "result"))
     return amplitudes + "".join(f'[objects."{g}.crc"]\nabsent = true\n' for g in ("tone", "result"))
 
 
@@ -57,6 +59,11 @@ def test_an_amplitude_between_two_steps_is_played_at_the_lower_one(
 def test_a_map_that_carries_less_than_the_controller_plays_is_the_limit(tmp_path: Path) -> None:
     with bench(tmp_path, coarse(per_unit=100_000)) as controller:
         assert controller.capabilities().max_amplitude_a == 0.65535
+
+
+def test_amplitudes_that_a_map_has_as_floats_are_in_amperes(tmp_path: Path) -> None:
+    with bench(tmp_path, coarse("F32", None)) as controller:
+        assert_works_like_our_own(controller, TONE, raw_samples=500)
 
 
 def test_a_session_over_such_a_map_is_replayed(tmp_path: Path) -> None:
