@@ -21,6 +21,7 @@ from drivers.device.serve import (
     serve_modbus_rtu,
     serve_modbus_tls,
 )
+from drivers.modbus.framing import PARITIES
 from sim.errors import AmbError
 from sim.withheld import CAMPAIGN_S
 
@@ -43,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--client-ca", type=Path)
     p.add_argument("--device", default="", help="serial port of modbus-rtu; a pseudo-terminal without it")
     p.add_argument("--baud", type=int, default=115200)
+    p.add_argument("--parity", choices=PARITIES, default="", help="of modbus-rtu; 8N1 without it")
     p.add_argument("--bus", default="", help="CAN bus of canopen; a socketcand hub of its own without it")
     p.add_argument("--node", type=int, default=5)
     p.add_argument("--bitrate", type=int, default=1_000_000)
@@ -57,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
-        rtu = RtuOptions(a.device, a.baud, a.unit, a.map, a.faults, a.fault_seed, a.throttle)
+        rtu = RtuOptions(a.device, a.baud, a.unit, a.map, a.faults, a.fault_seed, a.throttle, a.parity)
         return serve_modbus_rtu(device, rtu)
     if a.protocol == "canopen":
         return serve_canopen(

@@ -21,6 +21,7 @@ from drivers.errors import BusError
 from drivers.link import RefusedError, go_on
 from drivers.modbus.clients import TcpClient, TlsClient
 from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
+from drivers.modbus.framing import EIGHT_N_ONE, Framing
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.modbus.turns import Turns, Urgency
 from drivers.objects import BY_NAME, Refusal
@@ -310,8 +311,8 @@ class ModbusLinks:
     ----------
     make_client
         Makes a client with the given time-out, s.
-    baud
-        Of a serial line, bits per second, which all links share, one request at a time; None for connections.
+    bytes_per_s
+        Of a serial line, which all links share, one request at a time; None for connections.
     """
 
     def __init__(
@@ -320,15 +321,15 @@ class ModbusLinks:
         make_client: Callable[[float], Client],
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
-        baud: int | None = None,
+        bytes_per_s: float | None = None,
     ) -> None:
         self.description = description
-        self.raw_bytes_per_s = None if baud is None else RECORD_SHARE * baud / 10
+        self.raw_bytes_per_s = None if bytes_per_s is None else RECORD_SHARE * bytes_per_s
         self.amplitudes = amplitudes(e.obj for e in registers.entries if e.obj.name == "amplitude_a")
         self._make_client = make_client
         self._unit = unit
         self._map = registers
-        self._line: _SharedLine | None = _SharedLine(make_client) if baud is not None else None
+        self._line: _SharedLine | None = _SharedLine(make_client) if bytes_per_s is not None else None
 
     def link(self, urgent: bool = False) -> ModbusLink:
         """Connection that opens itself at the first call."""
@@ -380,12 +381,20 @@ def tls_links(
     return ModbusLinks(f"modbuss://{host}:{port}?unit={unit}", client, unit, registers)
 
 
-def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
-    """Links over a serial line, 8 bits, no parity."""
+def rtu_links(
+    port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP, frames: Framing = EIGHT_N_ONE
+) -> ModbusLinks:
+    """Links over a serial line, 8 bits."""
 
     def client(timeout: float) -> Client:
         return ModbusSerialClient(
-            port, framer=FramerType.RTU, baudrate=baud, timeout=max(timeout, 3 * 260 * 11 / baud), retries=0
+            port,
+            framer=FramerType.RTU,
+            baudrate=baud,
+            parity=frames.parity,
+            stopbits=frames.stop_bits,
+            timeout=max(timeout, 3 * 260 * 11 / baud),
+            retries=0,
         )
 
-    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, baud)
+    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, baud / frames.bits)
