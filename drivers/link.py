@@ -67,6 +67,8 @@ class LinkFactory(Protocol):
     """For messages: scheme, host, unit."""
     raw_bytes_per_s: float | None
     """About how fast a raw record comes, on a line that is slow by nature; None on others."""
+    silence_s: float
+    """Between two heartbeats while a tone plays, on a line that they share with all else; 0 on others."""
     amplitudes: Amplitudes
     """Which amplitudes of a tone the map carries."""
 

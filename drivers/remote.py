@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
 import time
@@ -10,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
-from drivers.device.lease import drawn_token
+from drivers.device.lease import WATCHDOG_S, drawn_token
 from drivers.device.limits import check_tone
 from drivers.dialogue import Dialogue, held_by
 from drivers.errors import (
@@ -29,6 +30,8 @@ from drivers.objects import Outcome
 from drivers.playing import Playing
 from drivers.values import coded, number, numbers, whole
 
+LINE_SHARE = 0.95
+"""Of the watchdog's time, what the line may take between two heartbeats; the rest is for host and device."""
 PATIENCE_S = 10.0
 """How long a call keeps trying on a bus that fails, before it raises `BusError`."""
 FIRST_PATIENCE_S = 2.0
@@ -76,6 +79,7 @@ class RemoteController:
     def _identify(self) -> Capabilities:
         v = self._dialogue.read("identity", FIRST_PATIENCE_S)
         amplitudes = self._dialogue.links.amplitudes
+        self._require_fast_enough(number(v.get("watchdog_s", WATCHDOG_S)))
         return Capabilities(
             identity=str(v.get("identity", self._dialogue.links.description)),
             axes=tuple(str(v["axes"]).split()),
@@ -89,6 +93,17 @@ class RemoteController:
             amplitude_steps_per_a=amplitudes.steps_per_a,
             raw_bytes_per_s=self._dialogue.links.raw_bytes_per_s,
         )
+
+    def _require_fast_enough(self, watchdog_s: float) -> None:
+        """Refuse a line on which the watchdog would end every tone."""
+        links = self._dialogue.links
+        slower = links.silence_s / (LINE_SHARE * watchdog_s) if watchdog_s > 0 else 0.0
+        if slower > 1:
+            raise ControllerError(
+                f"{links.description}: this line is too slow: while a tone plays, a heartbeat comes every "
+                f"{1e3 * links.silence_s:.0f} ms, and {1e3 * watchdog_s:.0f} ms without one trip the controller; set a "
+                f"baud at least {math.ceil(10 * slower) / 10:.1f} times as high there and in the URL"
+            )
 
     # ---- the protocol's verbs
 

@@ -32,7 +32,7 @@ class RecordingLinks:
     def __init__(self, links: LinkFactory, path: Path) -> None:
         self._links, self._path = links, path
         self.description, self.raw_bytes_per_s = links.description, links.raw_bytes_per_s
-        self.amplitudes = links.amplitudes
+        self.silence_s, self.amplitudes = links.silence_s, links.amplitudes
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
@@ -132,6 +132,7 @@ class _ReplayLinks:
     def __init__(self, path: Path, lines: list[dict[str, Any]], amplitudes: Amplitudes) -> None:
         self.description = f"replay://{path}"
         self.raw_bytes_per_s: float | None = None
+        self.silence_s = 0.0
         self.amplitudes = amplitudes
         self._replay = _ReplayLink(path, lines)
 

@@ -69,6 +69,7 @@ class CanopenLinks:
         self._network: canopen.Network | None = None
         self._node: Any = None
         self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if bitrate and has_a_line(address) else None
+        self.silence_s = 0.0  # a heartbeat needs no answer, and passes any transfer by
         self.amplitudes = amplitudes(s.obj for s in objects.subs if s.obj.name == "amplitude_a")
         self.changed = threading.Event()
         self.progress: Progress | None = None

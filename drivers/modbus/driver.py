@@ -46,6 +46,8 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 _FUNCTIONS = {"read_holding_registers": 3, "read_input_registers": 4, "write_registers": 16}
 """Function codes of pymodbus's verbs."""
 _EXCEPTION = 0x80
+_READ_BYTES, _WRITE_BYTES = 8 + 5 + 7, 9 + 8 + 7
+"""Of request and answer without what they carry, with the silence of 3.5 bytes after each."""
 _REFUSALS = {refusal.modbus: refusal for refusal in Refusal}
 _EXCEPTIONS = {
     1: "it does not know what was asked for; see that this is the controller's address",
@@ -325,6 +327,7 @@ class ModbusLinks:
     ) -> None:
         self.description = description
         self.raw_bytes_per_s = None if bytes_per_s is None else RECORD_SHARE * bytes_per_s
+        self.silence_s = 0.0 if bytes_per_s is None else _silence_bytes(registers) / bytes_per_s
         self.amplitudes = amplitudes(e.obj for e in registers.entries if e.obj.name == "amplitude_a")
         self._make_client = make_client
         self._unit = unit
@@ -342,6 +345,13 @@ class ModbusLinks:
         """Close the serial line."""
         if self._line is not None:
             self._line.close()
+
+
+def _silence_bytes(registers: RegisterMap) -> float:
+    """Of a heartbeat and of what goes in between while a tone plays, with the silence after each frame."""
+    beats = [_WRITE_BYTES + 2 * (span[-1].end - span[0].address) for span in registers.spans("beat", MAX_WRITE)]
+    looks = [_READ_BYTES + 2 * (span[-1].end - span[0].address) for span in registers.spans("status", MAX_READ)]
+    return sum(beat + max(looks) for beat in beats)
 
 
 class _SharedLine:

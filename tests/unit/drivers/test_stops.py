@@ -199,6 +199,7 @@ class _Bus:
     description = "test bus"
     order = "big"
     raw_bytes_per_s = None
+    silence_s = 0.0
     amplitudes = Amplitudes()
 
     def __init__(self, device: RigDevice) -> None:
