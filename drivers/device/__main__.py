@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--parity", choices=PARITIES, default="", help="of modbus-rtu; 8N1 without it")
     p.add_argument("--bus", default="", help="CAN bus of canopen; a socketcand hub of its own without it")
     p.add_argument("--node", type=int, default=5)
+    p.add_argument("--pre-operational", action="store_true", help="of canopen: wait for NMT start")
     p.add_argument("--bitrate", type=int, default=1_000_000)
     p.add_argument("--throttle", action="store_true", help="hold hub or pseudo-terminal to the bit rate")
     p.add_argument("--withheld", type=int, help="seed of a case that only the sealed file tells")
@@ -63,7 +64,19 @@ def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
         return serve_modbus_rtu(device, rtu)
     if a.protocol == "canopen":
         return serve_canopen(
-            device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle, a.map, a.faults, a.fault_seed)
+            device,
+            CanOptions(
+                a.bus,
+                a.node,
+                a.bitrate,
+                a.host,
+                a.port,
+                a.throttle,
+                a.map,
+                a.faults,
+                a.fault_seed,
+                not a.pre_operational,
+            ),
         )
     options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca, a.faults, a.fault_seed)
     return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)

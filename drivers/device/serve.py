@@ -90,6 +90,8 @@ class CanOptions:
     faults: str = ""
     """Faults on purpose, as for Modbus; on a hub of its own only."""
     fault_seed: int = 0
+    self_starting: bool = True
+    """Take process data from the beginning; otherwise once a host has started the node, as CiA 301 has it."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
         hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None, spoil)
         address = f"socketcand/{hub.host}:{hub.port}/can0"
     try:
-        node = CanopenNode(DeviceFront(device, "little"), address, options.node, objects)
+        node = CanopenNode(DeviceFront(device, "little"), address, options.node, objects, options.self_starting)
     except ControllerError:
         if hub is not None:
             hub.close()

@@ -110,6 +110,10 @@ def serve(
     ] = None,
     bus: Annotated[str, typer.Option(help="canopen: bus address; a socketcand hub of its own without it.")] = "",
     node: Annotated[int, typer.Option(help="canopen: node number.", min=1, max=127)] = 5,
+    pre_operational: Annotated[
+        bool,
+        typer.Option("--pre-operational", help="canopen: take process data only once a host has started the node."),
+    ] = False,
     bitrate: Annotated[int, typer.Option(help="canopen: bits per second.", min=10_000)] = 1_000_000,
     throttle: Annotated[
         bool, typer.Option("--throttle", help="canopen, modbus-rtu: hold hub or pseudo-terminal to the bit rate.")
@@ -155,7 +159,9 @@ def serve(
             )
             served = devices.serve_modbus_rtu(machine, rtu)
         case Protocol.canopen:
-            can = devices.CanOptions(bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed)
+            can = devices.CanOptions(
+                bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed, not pre_operational
+            )
             served = devices.serve_canopen(machine, can)
         case _:
             tcp = devices.ModbusOptions(host, port, unit, own_map, certificate, key, client_ca, faults, fault_seed)
