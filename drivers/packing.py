@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Mapping
@@ -44,6 +45,8 @@ def _counts(obj: Object, value: str | float) -> int | float:
     if obj.type not in INTEGERS:
         return float(value) * obj.per_unit
     low, high = INTEGERS[obj.type]
+    if obj.wraps and math.isfinite(value):
+        return round(value * obj.per_unit) % (high + 1)
     if not low - 0.5 < value * obj.per_unit < high + 0.5:
         raise LimitError(f"{obj.name} = {value} {obj.unit} does not fit on the wire".replace("  ", " "))
     return round(value * obj.per_unit)

@@ -170,7 +170,7 @@ class RigDevice:
     def next_snapshot(self) -> int:
         """Number of a snapshot that is sent to a host, rising: a stale one shows by it."""
         with self._state_lock:
-            self._snapshot = (self._snapshot + 1) % 2**32
+            self._snapshot += 1
             return self._snapshot
 
     def events(self, after: int = 0) -> list[Event]:
