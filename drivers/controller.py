@@ -205,7 +205,8 @@ class Controller(Protocol):
         LimitError
             The tone is outside the controller's limits; nothing was excited.
         TripError
-            A limit tripped; excitation is off, the trip is latched until `acknowledge`.
+            A limit tripped; excitation is off, the trip is latched until `acknowledge`. A `LatchedTripError`: it was so
+            before, and nothing was excited.
         """
 
     def stop(self) -> None:

@@ -237,12 +237,16 @@ class RemoteController:
         ------
         StoppedElsewhereError
             The tone that was lost sight of ended because somebody else had said stop.
+        TripError
+            It was this tone, and it tripped.
         """
         if self._lost is None:
             return None
         outcome = self._playing.outcome(self._lost[1])
         if outcome is Outcome.STOPPED_ELSEWHERE:
             raise _stopped_out_of_sight()
+        if outcome is Outcome.TRIPPED and self._lost[0] == tone:
+            self._playing.require_no_trip(self._lost[1])
         return self._playing.fetch(*self._lost) if self._lost[0] == tone and outcome is Outcome.DONE else None
 
     def stop(self) -> None:
