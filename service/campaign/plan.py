@@ -141,7 +141,8 @@ def tones(
 ) -> list[Request]:
     """One tone for each axis at the same frequency, settled for as long as its neighbours needed.
 
-    All axes share periods and samples, so that their columns make one matrix at one frequency.
+    All axes share periods and samples, so that their columns make one matrix at one frequency. Record and settling are
+    no longer than the controller takes.
     """
     rate = limits.sample_rate_hz
     periods, samples = whole_periods(
@@ -150,9 +151,11 @@ def tones(
         rate,
         tolerance_hz,
         limits.max_frequency_hz,
+        (limits.max_samples - math.ceil(rate / frequency_hz)) / profile.blocks,
     )
     frequency = periods * rate / samples
     seconds = profile.blocks * samples / rate
+    longest = max(limits.max_samples - profile.blocks * samples, 0)
     return [
         Request(
             axis=axis,
@@ -160,7 +163,7 @@ def tones(
             periods=periods,
             samples=samples,
             blocks=profile.blocks,
-            settle_samples=math.ceil(max(knowledge.settle_s(axis, frequency), 1.0 / frequency) * rate),
+            settle_samples=min(math.ceil(max(knowledge.settle_s(axis, frequency), 1.0 / frequency) * rate), longest),
         )
         for axis in range(limits.n_axes)
     ]
