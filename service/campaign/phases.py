@@ -36,6 +36,9 @@ CLOSELY = 1e-4
 0.0005."""
 TRIPS = 7
 """A point whose amplitude was halved that often and still trips is given up."""
+FIRST_GIVEN_UP, GIVEN_UP = 3, 10
+"""So many points of an axis that are given up in a row end the campaign: of one of which nothing was measured yet, and
+of any other. Each is a rotor that was at its limit seven times; a resonance that cannot be passed is narrower."""
 
 
 class Phases:
@@ -60,6 +63,7 @@ class Phases:
         self.aims = aims(profile, limits)
         self._noise = NoisePhases(recorder, limits, profile, meter, done)
         self.knowledge = Knowledge(NoiseSpectra.unmeasured(), limits.n_axes)
+        self._given_up_in_a_row = [0] * limits.n_axes
 
     # ---- noise
 
@@ -204,6 +208,7 @@ class Phases:
             tries -= 1
             before, best = best, outcome
             self.knowledge.held(request.axis)
+            self._given_up_in_a_row[request.axis] = 0
             waited = request.settle_samples / rate
             self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
             verdict = judge(outcome, self.knowledge, aim, self.limits, before)
@@ -249,6 +254,14 @@ class Phases:
             raise CampaignError(
                 f"the rig trips without excitation, the rotor did not come to rest again ({rest.message}); "
                 "see to the rig before it is excited again"
+            )
+        axis = request.axis
+        self._given_up_in_a_row[axis] += 1
+        in_a_row = self._given_up_in_a_row[axis]
+        if in_a_row == (GIVEN_UP if self.knowledge.knows(axis) else FIRST_GIVEN_UP):
+            raise CampaignError(
+                f"axis {axis} trips at every amplitude, at {in_a_row} frequencies in a row ({trip.message}); see to "
+                f"the rig and to its limits, then {self.recorder.anew}"
             )
         why = f"not measured: {trip.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
         frequency = request.frequency_hz(self.limits.sample_rate_hz)
