@@ -296,6 +296,12 @@ def run(
     done: dict[str, list[Point]],
 ) -> None:
     """All phases in order; points appear in ``done`` as they are finished."""
+    lowest = min(profile.frequencies_hz, default=profile.from_hz)
+    if lowest >= limits.max_frequency_hz:
+        raise CampaignError(
+            f"the controller plays tones below {limits.max_frequency_hz:g} Hz, and the lowest that is asked for is "
+            f"{lowest:g} Hz; correct its highest frequency, or its place and scale in the map"
+        )
     phases = Phases(recorder, limits, profile, meter, done)
     meter.total = phases.expected() + (1 + limits.n_axes if raw_records else profile.coarse_points)
     steps: Iterable[Any] = (
