@@ -6,6 +6,7 @@ import re
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from drivers.errors import AddressError
+from drivers.modbus.framing import PARITIES
 from sim.host_names import must_be_encodable
 
 Query = dict[str, str]
@@ -14,7 +15,7 @@ _OPTIONS = {
     "simulated": frozenset({"rig", "seed"}),
     "modbus": _EVERY_BUS | {"unit", "map"},
     "modbuss": _EVERY_BUS | {"unit", "map", "ca", "cert", "key"},
-    "modbus+rtu": _EVERY_BUS | {"unit", "map", "baud"},
+    "modbus+rtu": _EVERY_BUS | {"unit", "map", "baud", "parity"},
     "canopen": _EVERY_BUS | {"node", "bitrate", "map"},
     "replay": _EVERY_BUS,
 }
@@ -67,6 +68,8 @@ def understood(url: str) -> tuple[SplitResult, Query]:
     for name, text in query.items():
         if (parts.scheme, name) in _WHOLE:
             _must_be_whole(name, text, *_WHOLE[parts.scheme, name])
+    if parts.scheme == "modbus+rtu" and "parity" in query and query["parity"] not in PARITIES:
+        raise AddressError(f"the option parity is {', '.join(PARITIES)} or left out, not {query['parity']!r}")
     _must_name_a_place(parts, query)
     return parts, query
 

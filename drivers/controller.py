@@ -142,6 +142,8 @@ class Capabilities:
     current_limit_a: float
     harmonics: tuple[int, ...] = HARMONICS
     raw_records: bool = True
+    amplitude_steps_per_a: int = field(default=1_000_000, compare=False)
+    """Amplitudes are whole multiples of one over that, A: coarser where the map of a vendor's is. The driver's, too."""
     periodic: bool = field(default=False, compare=False)
     """Whether it also plays periodic waveforms on all axes at once: it is a `PeriodicController` then. That is the
     driver's, not the rig's, and two drivers of one rig are equal without it."""
@@ -203,7 +205,8 @@ class Controller(Protocol):
         LimitError
             The tone is outside the controller's limits; nothing was excited.
         TripError
-            A limit tripped; excitation is off, the trip is latched until `acknowledge`.
+            A limit tripped; excitation is off, the trip is latched until `acknowledge`. A `LatchedTripError`: it was so
+            before, and nothing was excited.
         """
 
     def stop(self) -> None:

@@ -14,11 +14,11 @@ from drivers.errors import (
     BusError,
     CancelledError,
     ControllerError,
+    LatchedTripError,
     LeaseError,
     LimitError,
     RestartError,
     StopRefusedError,
-    TripError,
 )
 from drivers.link import Link, LinkFactory, RefusedError
 from drivers.objects import BY_NAME, Refusal
@@ -155,7 +155,7 @@ class Dialogue:
         values = self.status(patience_s=patience_s)
         trip = coded(TripCause, values["trip"], "status.trip")
         if refused.refusal is Refusal.TRIPPED and trip != TripCause.NONE:
-            raise TripError(
+            raise LatchedTripError(
                 trip.name.lower(), f"a trip is latched ({self.trip_message(trip)}); acknowledge it first"
             ) from refused
         mine = (self.token != 0 or group == "release") and self.holds(values)

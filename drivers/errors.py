@@ -55,6 +55,10 @@ class TripError(ControllerError):
         self.cause = cause
 
 
+class LatchedTripError(TripError):
+    """A trip was latched before the tone began, which was refused: nothing was excited."""
+
+
 class BusyError(ControllerError):
     """The controller is playing another tone; wait until it is done, or stop it."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from drivers.amplitude import Amplitudes
 from drivers.errors import ControllerError
 from drivers.objects import Refusal
 from drivers.packing import Order, Value, Values
@@ -66,6 +67,10 @@ class LinkFactory(Protocol):
     """For messages: scheme, host, unit."""
     raw_bytes_per_s: float | None
     """About how fast a raw record comes, on a line that is slow by nature; None on others."""
+    silence_s: float
+    """Between two heartbeats while a tone plays, on a line that they share with all else; 0 on others."""
+    amplitudes: Amplitudes
+    """Which amplitudes of a tone the map carries."""
 
     def link(self, urgent: bool = False) -> Link:
         """Connection that opens itself at the first call; `urgent` has short time-outs."""

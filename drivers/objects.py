@@ -58,7 +58,7 @@ class Object:
     description: str
     unit: str = ""
     per_unit: int = 1
-    """Counts on the wire per SI unit, for integer types."""
+    """Counts on the wire per SI unit."""
     low: float | None = None
     """Least value, SI; None for what the type holds."""
     high: float | None = None
@@ -66,6 +66,8 @@ class Object:
     """Number of values, or of bytes of a text (even)."""
     required: bool = True
     """Whether a rig's own map must have it."""
+    wraps: bool = False
+    """Whether it counts on from zero beyond what its type holds."""
 
     @property
     def size(self) -> int:
@@ -142,7 +144,9 @@ IDENTITY = Group(
 STATUS = Group(
     "status", 1, "ro", "snapshot; reading it moves nothing and feeds no watchdog",
     (
-        _u32("snapshot", "counts every reading, so that a stale answer shows", required=False),
+        Object(
+            "snapshot", Type.U32, "counts every reading, so that a stale answer shows", required=False, wraps=True
+        ),
         _u32("boot_id", "drawn anew at every start", required=False),
         _u16("state", "0 off, 1 levitated, 2 armed, 3 settling, 4 recording, 5 done, 6 tripped", 0, 6),
         _u16("trip", "0 none, 1 host, 2 displacement, 3 current, 4 fault", 0, 4),
@@ -152,7 +156,7 @@ STATUS = Group(
         _u16("outcome", "of that tone: 0 under way, 1 done, 2 stopped, 3 tripped, 4 failed, 5 stopped by others", 0, 5),
         _u32("result", "number of the last result"),
         Object("speed_rad_s", Type.F32, "rotational speed, positive from x to y", "rad/s", required=False),
-        _scaled("uptime_s", "time since the start", "s", 1000, required=False),
+        Object("uptime_s", Type.U32, "time since the start", "s", 1000, low=0, required=False, wraps=True),
         Object("displacement_m", Type.I32, "displacement of each axis", "m", 1_000_000_000, count=MAX_AXES),
         Object("current_a", Type.I32, "coil current of each axis", "A", 1_000_000, count=MAX_AXES),
         Object("lease_holder", Type.TEXT, "holder of the lease, empty when free", count=32, required=False),

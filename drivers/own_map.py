@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.errors import MapError
 from drivers.objects import GROUPS, Object, Type
+from drivers.packing import INTEGERS
 from sim.errors import reason
 
 M = TypeVar("M", bound=BaseModel)
@@ -106,4 +107,6 @@ def _retyped(name: str, obj: Object, override: Override, source: str) -> Object:
         if override.type not in Type.__members__ or (Type[override.type] is Type.TEXT) != (obj.type is Type.TEXT):
             raise MapError(f"{source}: {name} cannot have the type {override.type!r}")
         obj = replace(obj, type=Type[override.type])
+        if obj.type not in INTEGERS:
+            obj = replace(obj, per_unit=1)  # a float is in SI units, unless per_unit says otherwise
     return obj if override.per_unit is None else replace(obj, per_unit=override.per_unit)

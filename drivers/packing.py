@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Mapping
@@ -14,7 +15,8 @@ Value = int | float | str | tuple[float, ...]
 Values = Mapping[str, Value]
 Order = Literal["big", "little"]
 _PREFIX = {"big": ">", "little": "<"}
-_RANGE = {Type.U16: (0, 2**16 - 1), Type.U32: (0, 2**32 - 1), Type.I32: (-(2**31), 2**31 - 1)}
+INTEGERS = {Type.U16: (0, 2**16 - 1), Type.U32: (0, 2**32 - 1), Type.I32: (-(2**31), 2**31 - 1)}
+"""The least and the greatest count of each type that counts."""
 
 
 def encode(obj: Object, value: Value, order: Order = "big") -> bytes:
@@ -40,9 +42,11 @@ def _counts(obj: Object, value: str | float) -> int | float:
         raise LimitError(f"{obj.name} is a number, not {value!r}")
     if (obj.low is not None and not value >= obj.low) or (obj.high is not None and not value <= obj.high):
         raise LimitError(f"{obj.name} = {value} {obj.unit} is outside {obj.low} to {obj.high} {obj.unit}".rstrip())
-    if obj.type not in _RANGE:
-        return float(value)
-    low, high = _RANGE[obj.type]
+    if obj.type not in INTEGERS:
+        return float(value) * obj.per_unit
+    low, high = INTEGERS[obj.type]
+    if obj.wraps and math.isfinite(value):
+        return round(value * obj.per_unit) % (high + 1)
     if not low - 0.5 < value * obj.per_unit < high + 0.5:
         raise LimitError(f"{obj.name} = {value} {obj.unit} does not fit on the wire".replace("  ", " "))
     return round(value * obj.per_unit)

@@ -13,6 +13,7 @@ from drivers.errors import (
     BusError,
     CancelledError,
     ControllerError,
+    LatchedTripError,
     OverdueError,
     StoppedElsewhereError,
     TripError,
@@ -76,6 +77,13 @@ class Playing:
         return coded(Outcome, values["outcome"], "status.outcome") if values["command"] == command else None
 
     def _start(self, tone: Tone, command: int) -> None:
+        try:
+            self._say(tone, command)
+        except LatchedTripError:
+            if self.outcome(command) is None:  # otherwise it was heard, tripped, and only the answer was lost
+                raise
+
+    def _say(self, tone: Tone, command: int) -> None:
         self._dialogue.command(
             "tone",
             {
@@ -146,6 +154,13 @@ class Playing:
     def _require_no_stop(self) -> None:
         if self._stop_asked.is_set():
             raise CancelledError("stopped while the raw record was on its way; the excitation is off")
+
+    def require_no_trip(self, command: int) -> None:
+        """Raise `TripError` where this command ended in a trip that is still latched."""
+        status = self._dialogue.status()
+        tripped = status["command"] == command and status["outcome"] == Outcome.TRIPPED
+        if tripped and status["trip"] != TripCause.NONE:
+            self._judge(Outcome.TRIPPED, status)
 
     def _judge(self, outcome: Outcome, status: Values) -> None:
         if outcome == Outcome.STOPPED:

@@ -22,7 +22,8 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
 - **Modbus**: holding registers (functions 3, 6, 16), big-endian words; addresses count from 0.
 - **CANopen**: a record for each group at 0x{RECORD_INDEX:04X} + k, and the whole group as one DOMAIN, little-endian,
   at 0x{WHOLE_INDEX:04X} + k; the EDS file is `amb.eds`. Heartbeat and stop are RPDO 1 and 2 (`beat`, `stop`), progress
-  is TPDO 1, a trip sends an EMCY.
+  is TPDO 1, a trip sends an EMCY. A host that holds the lease starts this node, and no other, if its boot-up
+  message or heartbeat tells that it is pre-operational; not again under a lease under which it was operational.
 - **A rig's own map** is a TOML file that moves, retypes, rescales or leaves out objects, for the option `map=` of a
   controller's URL and `--map` of `ambit rig serve`. `drivers/modbus/map.py` and `drivers/canopen/map.py` have examples;
   a map that cannot work is refused when it is read.
@@ -49,7 +50,8 @@ wrong CRC is refused, an answer with a wrong one is asked for again.
   page's number from 0 on (32 bits each, big-endian) and these bytes. Which part is shown, `window` says.
 
 Complex amplitudes: x(t) = Re(X exp(j h w t)), the time origin such that r at harmonic 1 is real and positive. r itself
-is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent. The payload's CRC-32
+is the tone that was asked for, its amplitude a whole number of microamperes, and is not sent; a host asks for no other
+amplitude than a rig's own map can carry both ways, the next lower one where its steps are coarser. The payload's CRC-32
 covers the result's number (big-endian) and the bytes as they are sent.
 
 ## Refusals

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 from drivers.controller import Capabilities, PointResult, State, Status, Tone, TripCause
-from drivers.device.lease import drawn_token
+from drivers.device.lease import WATCHDOG_S, drawn_token
 from drivers.device.limits import check_tone
 from drivers.dialogue import Dialogue, held_by
 from drivers.errors import (
@@ -28,6 +30,8 @@ from drivers.objects import Outcome
 from drivers.playing import Playing
 from drivers.values import coded, number, numbers, whole
 
+LINE_SHARE = 0.95
+"""Of the watchdog's time, what the line may take between two heartbeats; the rest is for host and device."""
 PATIENCE_S = 10.0
 """How long a call keeps trying on a bus that fails, before it raises `BusError`."""
 FIRST_PATIENCE_S = 2.0
@@ -74,18 +78,32 @@ class RemoteController:
 
     def _identify(self) -> Capabilities:
         v = self._dialogue.read("identity", FIRST_PATIENCE_S)
+        amplitudes = self._dialogue.links.amplitudes
+        self._require_fast_enough(number(v.get("watchdog_s", WATCHDOG_S)))
         return Capabilities(
             identity=str(v.get("identity", self._dialogue.links.description)),
             axes=tuple(str(v["axes"]).split()),
             sample_rate_hz=number(v["sample_rate_hz"]),
-            max_amplitude_a=number(v["max_amplitude_a"]),
+            max_amplitude_a=min(number(v["max_amplitude_a"]), amplitudes.largest_a),
             max_frequency_hz=number(v["max_frequency_hz"]),
             max_samples=whole(v["max_samples"], "identity.max_samples"),
             displacement_limit_m=number(v["displacement_limit_m"]),
             current_limit_a=number(v["current_limit_a"]),
             raw_records=bool(v["raw_records"]),
+            amplitude_steps_per_a=amplitudes.steps_per_a,
             raw_bytes_per_s=self._dialogue.links.raw_bytes_per_s,
         )
+
+    def _require_fast_enough(self, watchdog_s: float) -> None:
+        """Refuse a line on which the watchdog would end every tone."""
+        links = self._dialogue.links
+        slower = links.silence_s / (LINE_SHARE * watchdog_s) if watchdog_s > 0 else 0.0
+        if slower > 1:
+            raise ControllerError(
+                f"{links.description}: this line is too slow: while a tone plays, a heartbeat comes every "
+                f"{1e3 * links.silence_s:.0f} ms, and {1e3 * watchdog_s:.0f} ms without one trip the controller; set a "
+                f"baud at least {math.ceil(10 * slower) / 10:.1f} times as high there and in the URL"
+            )
 
     # ---- the protocol's verbs
 
@@ -116,7 +134,7 @@ class RemoteController:
         """Excite with one tone, wait, measure, and ramp back to zero; see the protocol.
 
         Asked for a tone whose result the failing bus kept back, it fetches that one: what was measured once is not
-        measured again.
+        measured again. The amplitude is what the map can carry of the one that is wanted, and the result tells it.
         """
         self._measuring = True
         self._stop_asked.clear()  # first of all: what is said from now on is meant for this tone
@@ -124,7 +142,8 @@ class RemoteController:
         try:
             self._require_lease()
             check_tone(tone, self._capabilities)
-            return self._measured(tone)
+            carried_a = self._dialogue.links.amplitudes.carried(tone.amplitude_a)
+            return self._measured(replace(tone, amplitude_a=carried_a))
         finally:
             self._measuring = False
             self._dialogue.impatient.clear()
@@ -218,12 +237,16 @@ class RemoteController:
         ------
         StoppedElsewhereError
             The tone that was lost sight of ended because somebody else had said stop.
+        TripError
+            It was this tone, and it tripped.
         """
         if self._lost is None:
             return None
         outcome = self._playing.outcome(self._lost[1])
         if outcome is Outcome.STOPPED_ELSEWHERE:
             raise _stopped_out_of_sight()
+        if outcome is Outcome.TRIPPED and self._lost[0] == tone:
+            self._playing.require_no_trip(self._lost[1])
         return self._playing.fetch(*self._lost) if self._lost[0] == tone and outcome is Outcome.DONE else None
 
     def stop(self) -> None:

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from drivers.amplitude import Amplitudes
 from drivers.errors import BusError, ControllerError, TranscriptError
 from drivers.link import Link, LinkFactory, RefusedError, go_on
 from drivers.objects import BY_NAME, Refusal
@@ -21,6 +22,7 @@ from drivers.packing import Order, Value, Values, encode
 from drivers.transcript_lines import FORMAT, VERBS, checked_lines
 from sim.errors import reason
 
+_STEPS = "amplitude_steps_per_a"
 _DRAWN_ANEW = ("token", "command", "crc", "holder")
 
 
@@ -30,13 +32,15 @@ class RecordingLinks:
     def __init__(self, links: LinkFactory, path: Path) -> None:
         self._links, self._path = links, path
         self.description, self.raw_bytes_per_s = links.description, links.raw_bytes_per_s
+        self.silence_s, self.amplitudes = links.silence_s, links.amplitudes
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
             raise ControllerError(f"cannot write the transcript {path}: {reason(error)}") from error
         self._lock = threading.Lock()
         try:
-            self._note({"format": FORMAT, "version": 1, "controller": links.description})
+            head = {"format": FORMAT, "version": 1, "controller": links.description}
+            self._note(head | {_STEPS: links.amplitudes.steps_per_a})
         except TranscriptError:
             self.close()
             raise
@@ -118,13 +122,18 @@ def replay_links(path: Path) -> _ReplayLinks:
     ControllerError
         The file cannot be read, is not a transcript, or is damaged; names the line.
     """
-    return _ReplayLinks(path, checked_lines(path))
+    lines = checked_lines(path)
+    steps_per_a = json.loads(path.read_text(encoding="utf-8").splitlines()[0]).get(_STEPS)
+    known = isinstance(steps_per_a, int) and steps_per_a > 0  # older transcripts do not tell
+    return _ReplayLinks(path, lines, Amplitudes(steps_per_a) if known else Amplitudes())
 
 
 class _ReplayLinks:
-    def __init__(self, path: Path, lines: list[dict[str, Any]]) -> None:
+    def __init__(self, path: Path, lines: list[dict[str, Any]], amplitudes: Amplitudes) -> None:
         self.description = f"replay://{path}"
         self.raw_bytes_per_s: float | None = None
+        self.silence_s = 0.0
+        self.amplitudes = amplitudes
         self._replay = _ReplayLink(path, lines)
 
     def link(self, urgent: bool = False) -> Link:

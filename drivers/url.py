@@ -12,6 +12,7 @@ from drivers.address import PORTS, Query, understood
 from drivers.controller import Controller
 from drivers.errors import ControllerError
 from drivers.link import LinkFactory
+from drivers.modbus.framing import framing
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
 from drivers.remote import RemoteController
 from drivers.transcript import RecordingLinks, replay_links
@@ -61,7 +62,8 @@ def _modbus_tls(url: SplitResult, query: Query) -> LinkFactory:
 def _modbus_rtu(url: SplitResult, query: Query) -> LinkFactory:
     from drivers.modbus.driver import rtu_links
 
-    return rtu_links(url.path, int(query.get("baud", 115200)), int(query.get("unit", 1)), _map(query))
+    baud, unit = int(query.get("baud", 115200)), int(query.get("unit", 1))
+    return rtu_links(url.path, baud, unit, _map(query), framing(query.get("parity", "")))
 
 
 def _canopen(url: SplitResult, query: Query) -> LinkFactory:
@@ -94,7 +96,8 @@ def connect(url: str, rig: Rig | None = None) -> Controller:
                                                                  ``rig``, or the datasheet's, or the reference
     ``modbus://host:502?unit=1``                                 Modbus TCP
     ``modbuss://host:802?ca=ca.pem&cert=host.pem&key=host.key``  Modbus TCP in TLS
-    ``modbus+rtu:///dev/ttyUSB0?baud=115200``                    Modbus RTU
+    ``modbus+rtu:///dev/ttyUSB0?baud=115200&parity=E``           Modbus RTU; parity E or O with one stop bit, N with
+                                                                 two; without it none, and one
     ``canopen://socketcan/can0?node=5&bitrate=1000000``          CANopen; also ``socketcand/host:port/can0``,
                                                                  ``udp_multicast/239.74.163.2:43113`` and
                                                                  ``virtual/name`` (one process)

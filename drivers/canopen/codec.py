@@ -12,6 +12,11 @@ BEAT_COB = 0x200
 STOP_COB = 0x300
 PROGRESS_COB = 0x180
 EMCY_COB = 0x080
+NMT_COB, HEARTBEAT_COB = 0x000, 0x700
+NMT_START = 0x01
+"""Command of network management (CiA 301, 7.2.8.2): process data go from then on."""
+BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
+"""States that a heartbeat tells; a boot-up message comes before pre-operational."""
 _BEAT = struct.Struct("<II")
 _STOP = struct.Struct("<I")
 _PROGRESS = struct.Struct("<HIH")

@@ -13,8 +13,19 @@ import can
 import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
 
+from drivers.amplitude import amplitudes
 from drivers.canopen.bus import has_a_line, open_network
-from drivers.canopen.codec import Progress, beat_bytes, progress_of, stop_bytes
+from drivers.canopen.codec import (
+    BOOT_UP,
+    NMT_COB,
+    NMT_START,
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    Progress,
+    beat_bytes,
+    progress_of,
+    stop_bytes,
+)
 from drivers.canopen.dictionary import object_dictionary
 from drivers.canopen.map import DEFAULT_MAP, SEGMENT_BYTES, WHOLE_INDEX, ObjectMap
 from drivers.canopen.upload import UploadingSdoClient
@@ -66,8 +77,12 @@ class CanopenLinks:
         self._address = address
         self._lock = threading.RLock()
         self._network: canopen.Network | None = None
+        self._state: int | None = None
+        """Of network management, as the node has told it last; None where it has not, or was started since."""
         self._node: Any = None
         self.raw_bytes_per_s = RECORD_SHARE * bitrate / 8 if bitrate and has_a_line(address) else None
+        self.silence_s = 0.0  # a heartbeat needs no answer, and passes any transfer by
+        self.amplitudes = amplitudes(s.obj for s in objects.subs if s.obj.name == "amplitude_a")
         self.changed = threading.Event()
         self.progress: Progress | None = None
         self.heard_at: float | None = None
@@ -87,6 +102,7 @@ class CanopenLinks:
                 node.sdo.RESPONSE_TIMEOUT = SDO_TIMEOUT_S
                 node.sdo_channels = [node.sdo]
                 network.add_node(node)
+                node.nmt.add_heartbeat_callback(self._on_state)
                 network.subscribe(self.objects.progress_cob_id + self.node_id, self._on_progress)
                 self._network, self._node = network, node
             return self._node
@@ -104,10 +120,26 @@ class CanopenLinks:
             network = self._network
             if network is None:
                 raise BusError("the CAN bus was closed")
-            network.send_message(cob_id + self.node_id, data)
+            network.send_message(cob_id, data)
         except (can.CanError, OSError, RuntimeError) as error:
             self.close()
             raise BusError(f"the CAN bus failed: {reason(error)}") from error
+
+    def start_waiting_node(self) -> None:
+        """Start the node if it has told that it waits for that, in its heartbeat or at its boot-up.
+
+        Until then it takes no process data (CiA 301, 7.3.2.2.2). Other nodes are left as they are. It is told once for
+        each time that the node says so: a command of network management has no answer.
+        """
+        if self._state not in (BOOT_UP, PRE_OPERATIONAL):
+            return
+        self._state = None
+        self.send(NMT_COB, bytes([NMT_START, self.node_id]))
+
+    @property
+    def operational(self) -> bool:
+        """Whether the node was last heard to be operational."""
+        return self._state == OPERATIONAL
 
     def close(self) -> None:
         """Leave the bus; safe twice. The next call opens it again."""
@@ -116,6 +148,9 @@ class CanopenLinks:
         if network is not None:
             with suppress(Exception):
                 network.disconnect()
+
+    def _on_state(self, state: int) -> None:
+        self._state = state
 
     def _on_progress(self, cob_id: int, data: bytearray, timestamp: float) -> None:
         with suppress(BusError):
@@ -305,18 +340,26 @@ class _PdoLink:
 
     def __init__(self, links: CanopenLinks) -> None:
         self._links = links
+        self._started = False
 
     def write(self, group: str, values: Values) -> None:
-        token = int(values["token"])  # type: ignore[arg-type]
+        token, objects, node = int(values["token"]), self._links.objects, self._links.node_id  # type: ignore[arg-type]
         if group == "beat":
-            self._links.send(self._links.objects.beat_cob_id, beat_bytes(token, int(values["count"])))  # type: ignore[arg-type]
+            self._start()
+            self._links.send(objects.beat_cob_id + node, beat_bytes(token, int(values["count"])))  # type: ignore[arg-type]
         elif group == "stop":
             for copy in range(STOP_COPIES):
                 if copy:
                     time.sleep(0.002)
-                self._links.send(self._links.objects.stop_cob_id, stop_bytes(token))
+                self._links.send(objects.stop_cob_id + node, stop_bytes(token))
         else:
             raise BusError(f"{group} is not a process data object")
+
+    def _start(self) -> None:
+        """Start a node that waits; not one that was operational under this lease, for whoever took it out of that."""
+        self._started |= self._links.operational
+        if not self._started:
+            self._links.start_waiting_node()
 
     def read(self, group: str) -> dict[str, Value]:
         raise BusError("process data cannot be asked for")

@@ -21,6 +21,7 @@ from drivers.device.serve import (
     serve_modbus_rtu,
     serve_modbus_tls,
 )
+from drivers.modbus.framing import PARITIES
 from sim.errors import AmbError
 from sim.withheld import CAMPAIGN_S
 
@@ -43,8 +44,10 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("--client-ca", type=Path)
     p.add_argument("--device", default="", help="serial port of modbus-rtu; a pseudo-terminal without it")
     p.add_argument("--baud", type=int, default=115200)
+    p.add_argument("--parity", choices=PARITIES, default="", help="of modbus-rtu; 8N1 without it")
     p.add_argument("--bus", default="", help="CAN bus of canopen; a socketcand hub of its own without it")
     p.add_argument("--node", type=int, default=5)
+    p.add_argument("--pre-operational", action="store_true", help="of canopen: wait for NMT start")
     p.add_argument("--bitrate", type=int, default=1_000_000)
     p.add_argument("--throttle", action="store_true", help="hold hub or pseudo-terminal to the bit rate")
     p.add_argument("--withheld", type=int, help="seed of a case that only the sealed file tells")
@@ -57,11 +60,23 @@ def _parser() -> argparse.ArgumentParser:
 
 def _serve(device: RigDevice, a: argparse.Namespace) -> Served:
     if a.protocol == "modbus-rtu":
-        rtu = RtuOptions(a.device, a.baud, a.unit, a.map, a.faults, a.fault_seed, a.throttle)
+        rtu = RtuOptions(a.device, a.baud, a.unit, a.map, a.faults, a.fault_seed, a.throttle, a.parity)
         return serve_modbus_rtu(device, rtu)
     if a.protocol == "canopen":
         return serve_canopen(
-            device, CanOptions(a.bus, a.node, a.bitrate, a.host, a.port, a.throttle, a.map, a.faults, a.fault_seed)
+            device,
+            CanOptions(
+                a.bus,
+                a.node,
+                a.bitrate,
+                a.host,
+                a.port,
+                a.throttle,
+                a.map,
+                a.faults,
+                a.fault_seed,
+                not a.pre_operational,
+            ),
         )
     options = ModbusOptions(a.host, a.port, a.unit, a.map, a.certificate, a.key, a.client_ca, a.faults, a.fault_seed)
     return serve_modbus(device, options) if a.protocol == "modbus" else serve_modbus_tls(device, options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import binascii
+import itertools
 import struct
 import threading
 from collections.abc import Iterator
@@ -26,6 +27,10 @@ from canopen.sdo.server import SdoServer
 from drivers.canopen.bus import open_network, send_all
 from drivers.canopen.codec import (
     EMCY_COB,
+    HEARTBEAT_COB,
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    STOPPED,
     Progress,
     beat_of,
     emergency_bytes,
@@ -45,8 +50,13 @@ ABORT_NO_DATA = 0x08000024
 LOOK_S = 0.1
 """How often the node looks whether its bus is still there."""
 LONGEST_PAUSE_S = 2.0
+HEARTBEAT_LOOKS = 5
+"""After so many of these a node that waits to be started tells its state."""
 _NMT_STOP = (0x02, 0x80, 0x81, 0x82)
 """Stop, enter pre-operational, reset node, reset communication: none of them leaves the excitation on."""
+
+
+_NMT_STATES = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL, 0x81: PRE_OPERATIONAL, 0x82: PRE_OPERATIONAL}
 
 
 class BlockSdoServer(SdoServer):
@@ -106,6 +116,8 @@ class CanopenNode:
         As in `drivers.canopen.bus`.
     objects
         Where its objects are.
+    self_starting
+        Whether it takes process data from the beginning; otherwise it waits to be started (CiA 301, 7.3.2.2).
 
     Raises
     ------
@@ -119,9 +131,12 @@ class CanopenNode:
         address: str,
         node_id: int,
         objects: ObjectMap = DEFAULT_MAP,
+        self_starting: bool = True,
     ) -> None:
         self._front = front
         self._address, self._node_id, self._objects = address, node_id, objects
+        self._self_starting = self_starting
+        self._state = OPERATIONAL if self_starting else PRE_OPERATIONAL
         self._subs = {(s.index, s.subindex): s for s in objects.subs}
         self._last = {g.name: objects.of(g.name)[-1] for g in GROUPS}
         self._staged: dict[str, dict[str, Any]] = {}
@@ -162,7 +177,12 @@ class CanopenNode:
 
         Meanwhile no heartbeat comes, and the watchdog sees to the excitation.
         """
-        while not self._closing.wait(LOOK_S):
+        for look in itertools.count():
+            if self._closing.wait(LOOK_S):
+                return
+            if not self._self_starting and look % HEARTBEAT_LOOKS == 0:
+                with suppress(Exception):
+                    self._network.send_message(HEARTBEAT_COB + self._node_id, bytes([self._state]))
             notifier = self._network.notifier
             if notifier is None or notifier.exception is None:
                 continue
@@ -228,16 +248,23 @@ class CanopenNode:
     # ---- process data
 
     def _on_beat(self, cob_id: int, data: bytearray, timestamp: float) -> None:
+        if self._state != OPERATIONAL:
+            return
         with suppress(BusError, RefusedError):
             token, count = beat_of(bytes(data))
             self._write_group("beat", {"token": token, "count": count})
 
     def _on_stop(self, cob_id: int, data: bytearray, timestamp: float) -> None:
-        self._front.device.stop(stop_of(bytes(data)))
+        if self._state == OPERATIONAL:
+            self._front.device.stop(stop_of(bytes(data)))
 
     def _on_nmt(self, cob_id: int, data: bytearray, timestamp: float) -> None:
-        if len(data) >= 2 and data[0] in _NMT_STOP and data[1] in (0, self._node_id):
+        if len(data) < 2 or data[1] not in (0, self._node_id):
+            return
+        if data[0] in _NMT_STOP:
             self._front.device.stop()
+        if not self._self_starting:
+            self._state = _NMT_STATES.get(data[0], self._state)
 
     def _write_group(self, group: str, values: dict[str, Value]) -> None:
         of = next(g for g in GROUPS if g.name == group)
@@ -254,7 +281,8 @@ class CanopenNode:
             if trip is not self._trip:
                 self._network.send_message(EMCY_COB + self._node_id, emergency_bytes(trip))
                 self._trip = trip
-            self._network.send_message(self._objects.progress_cob_id + self._node_id, progress_bytes(progress))
+            if self._state == OPERATIONAL:
+                self._network.send_message(self._objects.progress_cob_id + self._node_id, progress_bytes(progress))
 
 
 def _leave(network: canopen.Network) -> None:

@@ -118,7 +118,7 @@ class DeviceFront:
             "outcome": int(outcome),
             "result": 0 if finished is None else finished.point.sequence,
             "speed_rad_s": s.speed_rad_s,
-            "uptime_s": s.uptime_s % 4e6,
+            "uptime_s": s.uptime_s,
             "displacement_m": _clipped(s.displacement_m, 2.0),
             "current_a": _clipped(s.current_a, 2000.0),
             "lease_holder": s.lease_holder,

@@ -29,7 +29,15 @@ from drivers.device.lease import NO_TOKEN, WATCHDOG_S, LeaseTable
 from drivers.device.limits import MAX_SAMPLES, check_tone, check_waveform
 from drivers.device.play import Gauges, Interruption, Pace, Player
 from drivers.device.stops import Stops
-from drivers.errors import BusyError, CancelledError, ControllerError, LimitError, StoppedElsewhereError, TripError
+from drivers.errors import (
+    BusyError,
+    CancelledError,
+    ControllerError,
+    LatchedTripError,
+    LimitError,
+    StoppedElsewhereError,
+    TripError,
+)
 from sim.rig import Rig
 from sim.stepping import Simulation
 
@@ -170,7 +178,7 @@ class RigDevice:
     def next_snapshot(self) -> int:
         """Number of a snapshot that is sent to a host, rising: a stale one shows by it."""
         with self._state_lock:
-            self._snapshot = (self._snapshot + 1) % 2**32
+            self._snapshot += 1
             return self._snapshot
 
     def events(self, after: int = 0) -> list[Event]:
@@ -252,7 +260,7 @@ class RigDevice:
             if self._closed:
                 raise ControllerError("the controller is switched off")
             if self._trip is not None:
-                raise TripError(
+                raise LatchedTripError(
                     self._trip.cause.name.lower(), f"a trip is latched ({self._trip.message}); acknowledge it first"
                 )
             if self._playing:

@@ -29,8 +29,6 @@ from sim.errors import reason
 MAX_PDU = 253
 _HEADER = struct.Struct(">HHHB")
 GATEWAY_TARGET_FAILED = 0x0B
-BITS_PER_BYTE = 10
-"""On a serial line: 8 bits between start and stop, no parity."""
 BURST_BYTES = 16
 """Of a throttled line: so many bytes come at once, as from the FIFO of a UART."""
 
@@ -153,8 +151,8 @@ class RtuServer:
     ----------
     spoiler
         Faults on purpose.
-    baud
-        Bits per second to which a pseudo-terminal is held back, requests and answers; None does not.
+    bytes_per_s
+        To which a pseudo-terminal is held back, requests and answers; None does not.
     """
 
     def __init__(
@@ -164,9 +162,9 @@ class RtuServer:
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
         spoiler: ModbusSpoiler | None = None,
-        baud: int | None = None,
+        bytes_per_s: float | None = None,
     ) -> None:
-        self._front, self._fd, self._unit, self._baud = front, fd, unit, baud
+        self._front, self._fd, self._unit, self._bytes_per_s = front, fd, unit, bytes_per_s
         self._free_at = 0.0
         self._session = RegisterSession(front, registers)
         self._spoilt: SpoiltConversation | None = None
@@ -217,7 +215,7 @@ class RtuServer:
         return _rtu_frame(frame, self._session.answer(frame[1:-2]))
 
     def _send(self, raw: bytes) -> None:
-        burst = len(raw) if self._baud is None else BURST_BYTES
+        burst = len(raw) if self._bytes_per_s is None else BURST_BYTES
         while raw:
             self._carry(len(raw[:burst]))
             select.select([], [self._fd], [], 1.0)
@@ -225,9 +223,9 @@ class RtuServer:
 
     def _carry(self, size: int) -> None:
         """Wait as long as a throttled line takes for that many bytes."""
-        if self._baud is not None:
+        if self._bytes_per_s is not None:
             now = time.monotonic()
-            self._free_at = max(self._free_at, now) + BITS_PER_BYTE * size / self._baud
+            self._free_at = max(self._free_at, now) + size / self._bytes_per_s
             time.sleep(self._free_at - now)
 
 

@@ -29,6 +29,7 @@ from drivers.device.front import DeviceFront
 from drivers.device.machine import Event, RigDevice
 from drivers.device.modbus import RtuServer, TcpServer
 from drivers.errors import ControllerError
+from drivers.modbus.framing import framing
 from drivers.modbus.map import DEFAULT_MAP, RegisterMap, read_map
 from sim.errors import reason
 
@@ -69,6 +70,8 @@ class RtuOptions:
     fault_seed: int = 0
     throttle: bool = False
     """Hold a pseudo-terminal back to the bit rate, as a serial port is by itself."""
+    parity: str = ""
+    """Of a serial port: E, O or N, as in the URL; empty for none, with one stop bit."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ class CanOptions:
     faults: str = ""
     """Faults on purpose, as for Modbus; on a hub of its own only."""
     fault_seed: int = 0
+    self_starting: bool = True
+    """Take process data from the beginning; otherwise once a host has started the node, as CiA 301 has it."""
 
 
 @dataclass(frozen=True)
@@ -157,9 +162,14 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
 
     front = DeviceFront(device, "big")
     registers, spoiler = _registers(options.map), _spoiler(options.faults, options.fault_seed)
+    frames = framing(options.parity)
+    if options.parity and not options.device:
+        raise ControllerError("a pseudo-terminal has no parity: give the serial port, or leave the parity out")
     if options.device:
         try:
-            port = serial.Serial(options.device, options.baud, timeout=0)
+            port = serial.Serial(
+                options.device, options.baud, parity=frames.parity, stopbits=frames.stop_bits, timeout=0
+            )
         except (OSError, serial.SerialException, ValueError) as error:
             raise ControllerError(f"cannot open the serial port {options.device}: {reason(error)}") from error
         server = RtuServer(front, port.fileno(), options.unit, registers, spoiler)
@@ -167,7 +177,8 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
     else:
         master, slave = os.openpty()
         tty.setraw(slave)
-        server = RtuServer(front, master, options.unit, registers, spoiler, options.baud if options.throttle else None)
+        pace = options.baud / frames.bits if options.throttle else None
+        server = RtuServer(front, master, options.unit, registers, spoiler, pace)
         name = os.ttyname(slave)
 
         def close_port() -> None:
@@ -178,7 +189,8 @@ def serve_modbus_rtu(device: RigDevice, options: RtuOptions) -> Served:
         server.close()
         close_port()
 
-    return Served(f"modbus+rtu://{name}?baud={options.baud}&unit={options.unit}", device, shut)
+    parity = f"&parity={options.parity}" if options.parity else ""
+    return Served(f"modbus+rtu://{name}?baud={options.baud}&unit={options.unit}{parity}", device, shut)
 
 
 def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
@@ -201,7 +213,7 @@ def serve_canopen(device: RigDevice, options: CanOptions) -> Served:
         hub = CanHub(options.hub_host, options.hub_port, options.bitrate if options.throttle else None, spoil)
         address = f"socketcand/{hub.host}:{hub.port}/can0"
     try:
-        node = CanopenNode(DeviceFront(device, "little"), address, options.node, objects)
+        node = CanopenNode(DeviceFront(device, "little"), address, options.node, objects, options.self_starting)
     except ControllerError:
         if hub is not None:
             hub.close()

@@ -16,10 +16,12 @@ from pymodbus.client import ModbusSerialClient
 from pymodbus.exceptions import ConnectionException, ModbusIOException
 from pymodbus.pdu import ModbusPDU
 
+from drivers.amplitude import amplitudes
 from drivers.errors import BusError
 from drivers.link import RefusedError, go_on
 from drivers.modbus.clients import TcpClient, TlsClient
 from drivers.modbus.codec import entry_bytes, entry_value, read_request, read_response, to_bytes, to_registers
+from drivers.modbus.framing import EIGHT_N_ONE, Framing
 from drivers.modbus.map import DEFAULT_MAP, MAX_READ, MAX_WRITE, Entry, RegisterMap
 from drivers.modbus.turns import Turns, Urgency
 from drivers.objects import BY_NAME, Refusal
@@ -44,6 +46,8 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 _FUNCTIONS = {"read_holding_registers": 3, "read_input_registers": 4, "write_registers": 16}
 """Function codes of pymodbus's verbs."""
 _EXCEPTION = 0x80
+_READ_BYTES, _WRITE_BYTES = 8 + 5 + 7, 9 + 8 + 7
+"""Of request and answer without what they carry, with the silence of 3.5 bytes after each."""
 _REFUSALS = {refusal.modbus: refusal for refusal in Refusal}
 _EXCEPTIONS = {
     1: "it does not know what was asked for; see that this is the controller's address",
@@ -309,8 +313,8 @@ class ModbusLinks:
     ----------
     make_client
         Makes a client with the given time-out, s.
-    baud
-        Of a serial line, bits per second, which all links share, one request at a time; None for connections.
+    bytes_per_s
+        Of a serial line, which all links share, one request at a time; None for connections.
     """
 
     def __init__(
@@ -319,14 +323,16 @@ class ModbusLinks:
         make_client: Callable[[float], Client],
         unit: int = 1,
         registers: RegisterMap = DEFAULT_MAP,
-        baud: int | None = None,
+        bytes_per_s: float | None = None,
     ) -> None:
         self.description = description
-        self.raw_bytes_per_s = None if baud is None else RECORD_SHARE * baud / 10
+        self.raw_bytes_per_s = None if bytes_per_s is None else RECORD_SHARE * bytes_per_s
+        self.silence_s = 0.0 if bytes_per_s is None else _silence_bytes(registers) / bytes_per_s
+        self.amplitudes = amplitudes(e.obj for e in registers.entries if e.obj.name == "amplitude_a")
         self._make_client = make_client
         self._unit = unit
         self._map = registers
-        self._line: _SharedLine | None = _SharedLine(make_client) if baud is not None else None
+        self._line: _SharedLine | None = _SharedLine(make_client) if bytes_per_s is not None else None
 
     def link(self, urgent: bool = False) -> ModbusLink:
         """Connection that opens itself at the first call."""
@@ -339,6 +345,13 @@ class ModbusLinks:
         """Close the serial line."""
         if self._line is not None:
             self._line.close()
+
+
+def _silence_bytes(registers: RegisterMap) -> float:
+    """Of a heartbeat and of what goes in between while a tone plays, with the silence after each frame."""
+    beats = [_WRITE_BYTES + 2 * (span[-1].end - span[0].address) for span in registers.spans("beat", MAX_WRITE)]
+    looks = [_READ_BYTES + 2 * (span[-1].end - span[0].address) for span in registers.spans("status", MAX_READ)]
+    return sum(beat + max(looks) for beat in beats)
 
 
 class _SharedLine:
@@ -378,12 +391,20 @@ def tls_links(
     return ModbusLinks(f"modbuss://{host}:{port}?unit={unit}", client, unit, registers)
 
 
-def rtu_links(port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP) -> ModbusLinks:
-    """Links over a serial line, 8 bits, no parity."""
+def rtu_links(
+    port: str, baud: int, unit: int = 1, registers: RegisterMap = DEFAULT_MAP, frames: Framing = EIGHT_N_ONE
+) -> ModbusLinks:
+    """Links over a serial line, 8 bits."""
 
     def client(timeout: float) -> Client:
         return ModbusSerialClient(
-            port, framer=FramerType.RTU, baudrate=baud, timeout=max(timeout, 3 * 260 * 11 / baud), retries=0
+            port,
+            framer=FramerType.RTU,
+            baudrate=baud,
+            parity=frames.parity,
+            stopbits=frames.stop_bits,
+            timeout=max(timeout, 3 * 260 * 11 / baud),
+            retries=0,
         )
 
-    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, baud)
+    return ModbusLinks(f"modbus+rtu://{port}?unit={unit}", client, unit, registers, baud / frames.bits)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sim.datasheet import Datasheet
 
 STEPS_PER_A = 1_000_000
-"""A controller plays whole microamperes; a tone is planned as it is played."""
+"""A controller plays whole microamperes, and no map carries finer steps; a tone is planned as it is played."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,8 @@ class Limits:
     bias_current_a: float
     gap_m: float
     """Nominal air gap i0 ki / ks of the datasheet."""
+    amplitude_steps_per_a: int = STEPS_PER_A
+    """Amplitudes are whole multiples of one over that, A."""
 
     @staticmethod
     def of(
@@ -73,6 +75,7 @@ class Limits:
         max_amplitude_a: float,
         displacement_limit_m: float,
         current_limit_a: float,
+        amplitude_steps_per_a: int = STEPS_PER_A,
     ) -> Limits:
         """Limits of a datasheet together with those that the controller reports; the tighter one holds."""
         gaps = [
@@ -95,6 +98,7 @@ class Limits:
             linear_range_m=datasheet.linear_range_m,
             bias_current_a=min(datasheet.bias_current_a),
             gap_m=min(gaps),
+            amplitude_steps_per_a=amplitude_steps_per_a,
         )
 
 

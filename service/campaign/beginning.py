@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.controller import Capabilities, Controller
 from service.campaign import journal
-from service.campaign.aims import Limits, Profile
+from service.campaign.aims import STEPS_PER_A, Limits, Profile
 from service.campaign.multisine import plan as multisine_plan
 from service.campaign.multisine.plan import MultisineProfile
 from service.experiment.errors import CampaignError, JournalError
@@ -52,6 +52,7 @@ def checked_limits(capabilities: Capabilities, datasheet: Datasheet) -> Limits:
         c.max_amplitude_a,
         c.displacement_limit_m,
         c.current_limit_a,
+        c.amplitude_steps_per_a,
     )
 
 
@@ -65,10 +66,18 @@ def fingerprint(
         "axes": list(capabilities.axes),
         "harmonics": list(capabilities.harmonics),
         "raw_records": capabilities.raw_records,
-        "limits": asdict(limits),
+        "limits": _documented(limits),
         "datasheet_sha256": sha256(to_toml(datasheet).encode()).hexdigest(),
         "profile": multisine_plan.documented(profile) if isinstance(profile, MultisineProfile) else asdict(profile),
     }
+
+
+def _documented(limits: Limits) -> dict[str, Any]:
+    """Limits for a journal; the usual steps are not told, for older journals have none."""
+    told = asdict(limits)
+    if limits.amplitude_steps_per_a == STEPS_PER_A:
+        del told["amplitude_steps_per_a"]
+    return told
 
 
 def speed_now(controller: Controller) -> float:

@@ -20,6 +20,7 @@ _OF_THE_CONTROLLER = {
     "limits.max_frequency_hz": "the controller's largest frequency in Hz",
     "limits.max_samples": "the controller's longest tone in samples",
     "limits.max_amplitude_a": "the controller's largest amplitude in A",
+    "limits.amplitude_steps_per_a": "the steps per ampere of the map's amplitude",
     "limits.displacement_limit_m": "the controller's displacement limit in m",
     "limits.current_limit_a": "the controller's current limit in A",
 }

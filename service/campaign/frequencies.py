@@ -85,18 +85,23 @@ def whole_periods(
     sample_rate_hz: float,
     tolerance_hz: float = np.inf,
     highest_hz: float = np.inf,
+    most_samples: float = np.inf,
 ) -> tuple[int, int]:
     """Periods and samples of a block of about ``block_s`` whose frequency is periods * rate / samples.
 
     The block is the shortest, not shorter than ``block_s``, that comes within ``tolerance_hz``, or, where none up to
     half as long again (and at least thirty periods more) does, the one that comes nearest. Without a tolerance it is
-    the shortest. It never comes out above ``highest_hz``, which a controller would refuse.
+    the shortest. It never comes out above ``highest_hz``, which a controller would refuse; nor has it more than
+    ``most_samples``, unless a single period has.
 
     >>> whole_periods(100.0, 0.05, 10_000.0)
     (5, 500)
     """
     first = max(1, math.ceil(frequency_hz * block_s - 1e-9))
     last = max(first + 30, int(1.5 * first))
+    if most_samples < np.inf:
+        last = max(1, min(last, math.floor(frequency_hz * (most_samples - 1) / sample_rate_hz)))
+        first = min(first, last)
     best, best_error = (first, 0), np.inf
     for periods in range(first, last + 1):
         samples = max(2, round(periods * sample_rate_hz / frequency_hz))

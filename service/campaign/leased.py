@@ -20,7 +20,7 @@ from drivers.controller import (
     Waveform,
     WaveformResult,
 )
-from drivers.errors import BusError, CancelledError, ControllerError, TripError
+from drivers.errors import BusError, CancelledError, ControllerError, LatchedTripError, TripError
 from service.campaign.multisine.plan import PeriodicRequest
 from service.campaign.plan import Request
 from service.campaign.recorder import Trip
@@ -58,7 +58,7 @@ class Patient:
         Raises
         ------
         CampaignError
-            The controller tripped of a fault of its own, which is left latched: no tone mends it.
+            The controller tripped of a fault of its own, or between two tones, which is left latched: no tone mends it.
         """
         play = self._player(request)
         self._failing_since = None
@@ -68,10 +68,12 @@ class Patient:
             try:
                 return self._through(play)
             except TripError as trip:
-                if trip.cause not in (*OF_THE_TONE, OF_THE_HOST):
+                between = isinstance(trip, LatchedTripError) and trip.cause != OF_THE_HOST
+                if between or trip.cause not in (*OF_THE_TONE, OF_THE_HOST):
                     raise CampaignError(
-                        f"the controller tripped ({trip}); find the cause and acknowledge it, as with ambit "
-                        "acknowledge, then run this again to go on where it stopped"
+                        f"the controller tripped{' while nothing was excited' if between else ''} ({trip}); find the "
+                        "cause and acknowledge it, as with ambit acknowledge, then run this again to go on where it "
+                        "stopped"
                     ) from trip
                 self._through(self._controller.acknowledge)
                 if trip.cause != OF_THE_HOST:

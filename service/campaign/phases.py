@@ -36,6 +36,9 @@ CLOSELY = 1e-4
 0.0005."""
 TRIPS = 7
 """A point whose amplitude was halved that often and still trips is given up."""
+FIRST_GIVEN_UP, GIVEN_UP = 3, 10
+"""So many points of an axis that are given up in a row end the campaign: of one of which nothing was measured yet, and
+of any other. Each is a rotor that was at its limit seven times; a resonance that cannot be passed is narrower."""
 
 
 class Phases:
@@ -60,6 +63,7 @@ class Phases:
         self.aims = aims(profile, limits)
         self._noise = NoisePhases(recorder, limits, profile, meter, done)
         self.knowledge = Knowledge(NoiseSpectra.unmeasured(), limits.n_axes)
+        self._given_up_in_a_row = [0] * limits.n_axes
 
     # ---- noise
 
@@ -179,7 +183,7 @@ class Phases:
 
     def _point(self, phase: str, request: Request, aim: Aim) -> Point:
         """Measure one point until it is good or its tries are spent; what was wrong is written on it."""
-        rate = self.limits.sample_rate_hz
+        rate, steps = self.limits.sample_rate_hz, self.limits.amplitude_steps_per_a
         flags: list[str] = []
         trips = 0
         best: Point | None = None
@@ -196,27 +200,32 @@ class Phases:
                 ceiling = request.amplitude_a / 2
                 if best is not None:
                     break
-                if trips >= TRIPS:
+                lower = request.with_amplitude(ceiling, steps)
+                if trips >= TRIPS or lower.amplitude_a >= request.amplitude_a:
                     return self._given_up(request, outcome)
-                request = request.with_amplitude(ceiling)
+                request = lower
                 continue
             tries -= 1
             before, best = best, outcome
             self.knowledge.held(request.axis)
+            self._given_up_in_a_row[request.axis] = 0
             waited = request.settle_samples / rate
             self.knowledge.add(request.axis, outcome.frequency_hz, *outcome.per_ampere(), waited)
             verdict = judge(outcome, self.knowledge, aim, self.limits, before)
             a = min(verdict.better_amplitude_a, ceiling)
+            other = request.with_amplitude(a, steps)
+            lower_still = other.amplitude_a < request.amplitude_a
             slew = 2 * math.pi * outcome.frequency_hz * float(abs(outcome.I[:, 1, request.axis].mean()))
             (self.knowledge.saturated if verdict.saturated else self.knowledge.followed)(slew)
-            if verdict.saturated and tries > 1:
+            if verdict.saturated and tries > 1 and lower_still:
                 _mark(flags, "repeated at lower amplitude: the current was distorted")
-                request = request.with_amplitude(a)
+                request = other
                 ceiling = a
                 continue
-            if tries and (verdict.too_large or (verdict.too_small and a > 1.2 * request.amplitude_a)):
+            higher = verdict.too_small and other.amplitude_a > 1.2 * request.amplitude_a
+            if tries and (higher or (verdict.too_large and lower_still)):
                 _mark(flags, f"repeated at {'lower' if verdict.too_large else 'higher'} amplitude")
-                request = request.with_amplitude(a)
+                request = other
                 continue
             if verdict.saturated:
                 _mark(flags, "the current is distorted")
@@ -245,6 +254,14 @@ class Phases:
             raise CampaignError(
                 f"the rig trips without excitation, the rotor did not come to rest again ({rest.message}); "
                 "see to the rig before it is excited again"
+            )
+        axis = request.axis
+        self._given_up_in_a_row[axis] += 1
+        in_a_row = self._given_up_in_a_row[axis]
+        if in_a_row == (GIVEN_UP if self.knowledge.knows(axis) else FIRST_GIVEN_UP):
+            raise CampaignError(
+                f"axis {axis} trips at every amplitude, at {in_a_row} frequencies in a row ({trip.message}); see to "
+                f"the rig and to its limits, then {self.recorder.anew}"
             )
         why = f"not measured: {trip.cause} trip at every amplitude down to {request.amplitude_a:.2g} A"
         frequency = request.frequency_hz(self.limits.sample_rate_hz)
@@ -279,6 +296,12 @@ def run(
     done: dict[str, list[Point]],
 ) -> None:
     """All phases in order; points appear in ``done`` as they are finished."""
+    lowest = min(profile.frequencies_hz, default=profile.from_hz)
+    if lowest >= limits.max_frequency_hz:
+        raise CampaignError(
+            f"the controller plays tones below {limits.max_frequency_hz:g} Hz, and the lowest that is asked for is "
+            f"{lowest:g} Hz; correct its highest frequency, or its place and scale in the map"
+        )
     phases = Phases(recorder, limits, profile, meter, done)
     meter.total = phases.expected() + (1 + limits.n_axes if raw_records else profile.coarse_points)
     steps: Iterable[Any] = (

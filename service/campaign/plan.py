@@ -66,21 +66,21 @@ class Request:
         near &= abs(found.settle_samples - self.settle_samples) <= 1
         return found if near and (found.amplitude_a > 0) == (self.amplitude_a > 0) else None
 
-    def with_amplitude(self, amplitude_a: float) -> Request:
+    def with_amplitude(self, amplitude_a: float, steps_per_a: int = STEPS_PER_A) -> Request:
         """The same tone, another amplitude."""
-        return replace(self, amplitude_a=settable(amplitude_a))
+        return replace(self, amplitude_a=settable(amplitude_a, steps_per_a))
 
 
-def settable(amplitude_a: float) -> float:
+def settable(amplitude_a: float, steps_per_a: int = STEPS_PER_A) -> float:
     """The largest amplitude that a controller can play within a wanted one, A; never none where one is wanted.
 
-    >>> settable(0.1234567), settable(0.3), settable(2e-8), settable(0.0)
-    (0.123456, 0.3, 1e-06, 0.0)
+    >>> settable(0.1234567), settable(0.3), settable(2e-8), settable(0.0), settable(0.1239, 1000)
+    (0.123456, 0.3, 1e-06, 0.0, 0.123)
     """
     if amplitude_a <= 0:
         return 0.0
-    steps = round(amplitude_a * STEPS_PER_A)
-    return max(steps - int(steps / STEPS_PER_A > amplitude_a), 1) / STEPS_PER_A
+    steps = round(amplitude_a * steps_per_a)
+    return max(steps - int(steps / steps_per_a > amplitude_a), 1) / steps_per_a
 
 
 def needed_amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, seconds: float) -> float:
@@ -124,9 +124,11 @@ def amplitude(knowledge: Knowledge, axis: int, frequency_hz: float, aim: Aim, se
     if not knowledge.knows(axis):
         density = knowledge.noise.block_variance(frequency_hz, seconds)
         first = math.sqrt(float(density["i"][axis] + density["u"][axis])) / aim.accuracy
-        return settable(max(min(first, aim.current_a / 20, limits.max_amplitude_a), SMALLEST_A))
+        found = min(first, aim.current_a / 20, limits.max_amplitude_a)
+        return settable(max(found, SMALLEST_A), limits.amplitude_steps_per_a)
     wanted = needed_amplitude(knowledge, axis, frequency_hz, aim, seconds)
-    return settable(max(min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits)), SMALLEST_A))
+    found = min(wanted, largest_amplitude(knowledge, axis, frequency_hz, aim, limits))
+    return settable(max(found, SMALLEST_A), limits.amplitude_steps_per_a)
 
 
 def tones(
@@ -139,7 +141,8 @@ def tones(
 ) -> list[Request]:
     """One tone for each axis at the same frequency, settled for as long as its neighbours needed.
 
-    All axes share periods and samples, so that their columns make one matrix at one frequency.
+    All axes share periods and samples, so that their columns make one matrix at one frequency. Record and settling are
+    no longer than the controller takes.
     """
     rate = limits.sample_rate_hz
     periods, samples = whole_periods(
@@ -148,9 +151,11 @@ def tones(
         rate,
         tolerance_hz,
         limits.max_frequency_hz,
+        (limits.max_samples - math.ceil(rate / frequency_hz)) / profile.blocks,
     )
     frequency = periods * rate / samples
     seconds = profile.blocks * samples / rate
+    longest = max(limits.max_samples - profile.blocks * samples, 0)
     return [
         Request(
             axis=axis,
@@ -158,7 +163,7 @@ def tones(
             periods=periods,
             samples=samples,
             blocks=profile.blocks,
-            settle_samples=math.ceil(max(knowledge.settle_s(axis, frequency), 1.0 / frequency) * rate),
+            settle_samples=min(math.ceil(max(knowledge.settle_s(axis, frequency), 1.0 / frequency) * rate), longest),
         )
         for axis in range(limits.n_axes)
     ]
@@ -179,4 +184,4 @@ def other_amplitude(
     usual = amplitude(knowledge, request.axis, request.frequency_hz(rate), aims_by_name["main"], seconds, limits)
     if request.amplitude_a >= 1.3 * usual:
         return request
-    return request.with_amplitude(usual / profile.validation_gain)
+    return request.with_amplitude(usual / profile.validation_gain, limits.amplitude_steps_per_a)

@@ -114,7 +114,7 @@ class Recorder:
     ) -> None:
         self._measure = measure
         self._speed = speed
-        self._anew = anew
+        self.anew = anew
         self._append = append
         self._found = list(reversed(found))
         self._rate = sample_rate_hz
@@ -171,7 +171,7 @@ class Recorder:
             if recalled is None:
                 raise JournalError(
                     f"the journal was written by another plan: its next point is {entry.get('request')} "
-                    f"({entry.get('phase')}), this one asks for {request.description()} ({phase}); {self._anew}"
+                    f"({entry.get('phase')}), this one asks for {request.description()} ({phase}); {self.anew}"
                 )
             request = cast(Asked, recalled)  # of the same kind
         else:

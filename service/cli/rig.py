@@ -34,6 +34,14 @@ class Protocol(StrEnum):
     canopen = "canopen"
 
 
+class Parity(StrEnum):
+    """Parity of a serial line."""
+
+    even = "E"
+    odd = "O"
+    none = "N"
+
+
 @app.command()
 def datasheet(
     out: Annotated[Path | None, typer.Option(help="File to write; stdout without it.")] = None,
@@ -96,8 +104,16 @@ def serve(
     client_ca: Annotated[Path | None, typer.Option(help="modbus-tls: authority of the hosts' certificates.")] = None,
     device: Annotated[str, typer.Option(help="modbus-rtu: serial port; a pseudo-terminal without it.")] = "",
     baud: Annotated[int, typer.Option(help="modbus-rtu: bits per second.", min=300)] = 115200,
+    parity: Annotated[
+        Parity | None,
+        typer.Option(help="modbus-rtu: E or O with one stop bit, N with two; none, and one, without it."),
+    ] = None,
     bus: Annotated[str, typer.Option(help="canopen: bus address; a socketcand hub of its own without it.")] = "",
     node: Annotated[int, typer.Option(help="canopen: node number.", min=1, max=127)] = 5,
+    pre_operational: Annotated[
+        bool,
+        typer.Option("--pre-operational", help="canopen: take process data only once a host has started the node."),
+    ] = False,
     bitrate: Annotated[int, typer.Option(help="canopen: bits per second.", min=10_000)] = 1_000_000,
     throttle: Annotated[
         bool, typer.Option("--throttle", help="canopen, modbus-rtu: hold hub or pseudo-terminal to the bit rate.")
@@ -138,10 +154,14 @@ def serve(
     served: Served
     match protocol:
         case Protocol.modbus_rtu:
-            rtu = devices.RtuOptions(device, baud, unit, own_map, faults, fault_seed, throttle)
+            rtu = devices.RtuOptions(
+                device, baud, unit, own_map, faults, fault_seed, throttle, parity.value if parity else ""
+            )
             served = devices.serve_modbus_rtu(machine, rtu)
         case Protocol.canopen:
-            can = devices.CanOptions(bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed)
+            can = devices.CanOptions(
+                bus, node, bitrate, host, port, throttle, own_map, faults, fault_seed, not pre_operational
+            )
             served = devices.serve_canopen(machine, can)
         case _:
             tcp = devices.ModbusOptions(host, port, unit, own_map, certificate, key, client_ca, faults, fault_seed)

@@ -219,3 +219,22 @@ def test_a_point_whose_peak_is_no_number_is_a_point(tmp_path: Path) -> None:
             point = controller.measure(TONE)
     assert np.isnan(point.peak_displacement_m)
     assert np.abs(point.Y[:, 1, 1]).min() > 1e-7
+
+
+def test_counts_of_a_map_begin_anew_beyond_what_their_type_holds(tmp_path: Path) -> None:
+    """16 bits are some twenty minutes of statuses, and eighteen hours of seconds."""
+    (path := tmp_path / "vendor.toml").write_text(
+        '[objects."status.crc"]\nabsent = true\n[objects."status.snapshot"]\ntype = "U16"\n'
+        '[objects."status.uptime_s"]\ntype = "U16"\nper_unit = 1\n'
+    )
+    now = 0.0
+    device = RigDevice(reference_rig(), 3, clock=lambda: now)
+    device._snapshot = 65530
+    served = serve_modbus(device, ModbusOptions(port=0, map=path))
+    controller = connect(f"{served.url}&map={path}")
+    try:
+        now = 65540.0
+        assert [controller.status().uptime_s for _ in range(12)] == [4.0] * 12
+    finally:
+        controller.close()
+        served.close()

@@ -316,3 +316,15 @@ def test_what_was_measured_is_recovered_and_a_file_that_has_more_stays(tmp_path,
         (tmp_path / "experiment.journal").write_bytes(b"".join(line(e) for e in first[:-4]))
         assert run(["recover", str(tmp_path)]) in (0, 1)
         assert path.read_bytes() == found
+
+
+@pytest.mark.parametrize("profile", [SMALL, replace(SMALL, from_hz=1.0, frequencies_hz=(9.5, 20.0))])
+def test_a_controller_that_plays_none_of_the_frequencies_is_told_before_anything_moves(tmp_path, profile):
+    class Low(Faulty):
+        def capabilities(self):
+            return replace(self.inner.capabilities(), max_frequency_hz=9.0)
+
+    rig = Low(lambda k: None)
+    with pytest.raises(CampaignError, match="plays tones below 9 Hz, and the lowest that is asked for is"):
+        campaign(rig, tmp_path, profile)
+    assert rig.n == 0

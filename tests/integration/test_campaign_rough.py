@@ -136,3 +136,44 @@ def test_a_controller_without_records_gives_the_same_sweeps(tmp_path):
     assert [s.comment for s in experiment.sweeps] == ["main", "validation", "amplifier", "noise", "preliminary"]
     _, error = relative_error(experiment.main, reference_rig())
     assert np.median(error) < SMALL.accuracy
+
+
+def test_a_trip_between_two_tones_is_no_trip_of_the_next_one(tmp_path):
+    """What hit the rotor then was not the excitation: it stays latched for whoever finds the cause."""
+    from drivers.controller import State, TripCause
+    from drivers.device.play import Interruption
+
+    def fault(k):
+        if k == 30:
+            rig.inner._device._latch(Interruption(TripCause.DISPLACEMENT, "displacement of axis xB reached 81 um"))
+
+    rig = Faulty(fault)
+    few = replace(SMALL, points=12, validation_points=2, amplifier_points=2)
+    with pytest.raises(CampaignError, match=r"tripped while nothing was excited .*81 um.*find the cause and ackn"):
+        campaign(rig, tmp_path, few)
+    assert rig.status().state is State.TRIPPED
+    with rig.lease("who has found it"):
+        rig.acknowledge()
+    experiment = campaign(rig, tmp_path, few)
+    assert not any("trip" in flag for sweep in experiment.sweeps for flag in sweep.flags)
+
+
+@pytest.mark.parametrize(("from_the", "most"), [(1, 4 * 3 * 8), (80, 10 * 8)])
+def test_an_axis_that_trips_at_every_tone_is_not_driven_to_its_limit_at_every_frequency(tmp_path, from_the, most):
+    """Each trip is a rotor at its limit, which the campaign itself has acknowledged."""
+    from drivers.errors import TripError
+
+    class Touching(Faulty):
+        trips = 0
+
+        def measure(self, tone):
+            self.n += 1
+            if tone.axis == 1 and tone.amplitude_a > 0 and self.n >= from_the:
+                self.trips += 1
+                raise TripError("displacement", "displacement of axis xB reached 81 um, over the limit of 80 um")
+            return self.inner.measure(tone)
+
+    rig = Touching(None)
+    with pytest.raises(CampaignError, match=r"axis 1 trips at every amplitude, at \d+ frequencies in a row .*81 um"):
+        campaign(rig, tmp_path)
+    assert 0 < rig.trips <= most

@@ -23,7 +23,7 @@ from drivers.device.serve import (
     serve_modbus,
     serve_modbus_rtu,
 )
-from drivers.errors import CancelledError
+from drivers.errors import CancelledError, ControllerError
 from drivers.url import connect
 from sim.reference import reference_rig
 
@@ -38,6 +38,28 @@ def line() -> Iterator[Served]:
     served = serve_modbus_rtu(RigDevice(reference_rig(), seed=1), RtuOptions(throttle=True))
     yield served
     served.close()
+
+
+def test_a_line_on_which_the_watchdog_would_end_every_tone_is_refused_when_it_is_opened() -> None:
+    for baud, watchdog_s in ((4800, 0.2), (9600, 0.1)):
+        device = RigDevice(reference_rig(), seed=1, watchdog_s=watchdog_s)
+        served = serve_modbus_rtu(device, RtuOptions(throttle=True, baud=baud))
+        with pytest.raises(ControllerError, match=r"338 ms, and 200 ms|169 ms, and 100 ms") as refused:
+            connect(served.url)
+        assert "set a baud at least 1.8 times as high there and in the URL" in str(refused.value)
+        served.close()
+
+
+def test_a_slow_line_to_a_patient_watchdog_plays_tones() -> None:
+    device = RigDevice(reference_rig(), seed=1, watchdog_s=0.5, real_time=True)
+    served = serve_modbus_rtu(device, RtuOptions(throttle=True, baud=4800))
+    controller = connect(served.url)
+    try:
+        with controller.lease("slow line"):
+            assert controller.measure(replace(TONE, blocks=10)).tone.blocks == 10
+    finally:
+        controller.close()
+        served.close()
 
 
 @pytest.fixture

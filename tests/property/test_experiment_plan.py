@@ -1,5 +1,7 @@
 """Whatever the rig answers, a planned tone holds whole periods and stays within what the rig may take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -208,3 +210,19 @@ def test_a_current_that_is_distorted_however_small_leaves_tones_that_can_be_meas
         # a longer block tells as much with less
         told, asked = (tone.amplitude_a**2 * tone.samples for tone in (request, wanted))
         assert 0.02 * aim.current_a <= request.amplitude_a or told >= asked * (1 - 1e-3)
+
+
+@given(
+    frequency=st.floats(20.0, 1000.0),
+    most=st.integers(5_000, 65_535),
+    settle=st.floats(0.01, 20.0),
+    y=st.tuples(st.floats(1e-10, 1e-2), st.floats(1e-10, 1e-2)),
+    tolerance=st.floats(1e-3, 10.0),
+)
+def test_no_tone_is_longer_than_the_controller_takes(frequency, most, settle, y, tolerance):
+    few = replace(limits(), max_samples=most)
+    profile = Profile()
+    for aim in aims(profile, few).values():
+        for request in tones(knowledge(y=y, settle=settle), frequency, aim, profile, few, tolerance):
+            assert request.settle_samples >= 0
+            assert request.settle_samples + request.blocks * request.samples <= most

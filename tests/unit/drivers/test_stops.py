@@ -10,6 +10,7 @@ from functools import partial
 
 import pytest
 
+from drivers.amplitude import Amplitudes
 from drivers.controller import Tone, TripCause
 from drivers.device.front import DeviceFront
 from drivers.device.machine import RigDevice
@@ -198,6 +199,8 @@ class _Bus:
     description = "test bus"
     order = "big"
     raw_bytes_per_s = None
+    silence_s = 0.0
+    amplitudes = Amplitudes()
 
     def __init__(self, device: RigDevice) -> None:
         self.front = DeviceFront(device, "big")
