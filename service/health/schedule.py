@@ -156,7 +156,9 @@ def kept(
 
 def _zone(name: str) -> ZoneInfo:
     if name in OF_A_MACHINE:
-        raise ScheduleError(f"the time zone {name!r} is another one on every machine; give its name, as 'Europe/Zurich'")
+        raise ScheduleError(
+            f"the time zone {name!r} is another one on every machine; give its name, as 'Europe/Zurich'"
+        )
     try:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:
