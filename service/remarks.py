@@ -17,3 +17,17 @@ def one_line(text: str) -> str:
     'cannot read the file'
     """
     return " ".join(text.split())
+
+
+def shown(text: str) -> str:
+    r"""The text with a mark for each half of a character and for all that a terminal would obey.
+
+    >>> shown("a\x1b[31mb\u202e")
+    'a�[31mb�'
+    """
+    return "".join(c if can_be_shown(c) else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def can_be_shown(letter: str) -> bool:
+    """Whether it is neither half a character nor what a terminal would obey."""
+    return letter.isprintable() or letter in "\t\n" or (letter.isspace() and letter > "\x9f")

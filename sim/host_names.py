@@ -24,6 +24,8 @@ def must_be_encodable(host: str) -> None:
     """
     if any(letter.isspace() for letter in host):
         raise ValueError(f"the host {host!r} has a space")
+    if "%" in host and ":" not in host:  # but for the zone of a link-local address, fe80::1%eth0
+        raise ValueError(f"the host {host!r} has a % sign, which no host has; write the name as it is")
     import idna  # its tables: most who take an address apart have a number there
 
     name = host if host.isascii() else idna.encode(host.lower()).decode("ascii")

@@ -25,6 +25,7 @@ from service.private import PRIVATE, private_file, private_folder
 from service.storage import migrate
 from service.storage.blobs import Blobs
 from service.storage.database import Database, sqlite_file
+from service.storage.remote import opened
 from service.storage.tables import Base
 
 OWN, JOBS = "ambit", "jobs"
@@ -57,11 +58,12 @@ def create(settings: Settings, folder: Path, say: Callable[[str], None] = lambda
     Raises
     ------
     StorageError, OutputError
-        There is no database or it cannot be read, or the folder cannot be written.
+        There is no database or it cannot be read, or the folder cannot be written or is the service's own.
     ConflictError
         Another backup into the folder is being made.
     """
     _must_be_there(settings)
+    _must_be_its_own(settings, folder)
     ready_folder(folder, PRIVATE)
     with sole_use(folder, "another backup", "wait for its end, or give this one another folder"):
         try:
@@ -80,6 +82,18 @@ def _must_be_there(settings: Settings) -> None:
         raise StorageError(
             f"{source} does not exist, so there is nothing to back up; give the service's own --home, or AMBIT_HOME"
         )
+
+
+def _must_be_its_own(settings: Settings, folder: Path) -> None:
+    """Refuse a folder that the service keeps its own files in: a backup's store would be the store itself, no copy.
+
+    A folder of its own below the home is none of them: another disk may be mounted there.
+    """
+    wanted, home = folder.resolve(), settings.home.resolve()
+    _, root, local = opened(settings.store)
+    kept = [path.resolve() for path in (settings.work, settings.controllers, *([Path(root)] if local else []))]
+    if wanted == home or wanted / manifest.STORE in kept or any(wanted.is_relative_to(path) for path in kept):
+        raise OutputError(f"{folder} is where the service keeps its own files; give the backups another folder")
 
 
 def _clear(folder: Path) -> None:

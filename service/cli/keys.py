@@ -12,7 +12,7 @@ import typer
 from service.access.keys import Scope
 from service.cli.console import Json, print_json, stdout
 from service.cli.installation import Config, Home
-from service.remarks import say
+from service.remarks import one_line, say, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from service.storage.database import Database
     from service.storage.tables import KeyRow
 
+LONGEST_NAME = 200
 app = typer.Typer(no_args_is_help=True, help="API keys of the service: create, list, revoke.")
 
 
@@ -45,12 +46,13 @@ def create(
     from service.storage.database import now
     from service.storage.ids import new_id
 
+    _must_be_shown(name)
     with _database(config, home) as database, database.write() as session:
         first = not rows.any_key(session)
         scope = scope or (Scope.admin if first else Scope.viewer)
         at = now()
         expires = None if days is None else at + timedelta(days=days)
-        record, key = keys.issue(new_id("key"), (name or f"{scope} key")[:200], scope, at, expires)
+        record, key = keys.issue(new_id("key"), name or f"{scope} key", scope, at, expires)
         rows.add(session, rows.row(record, created_by=keys.LOCAL.name))
         audit.record(session, audited(keys.LOCAL, Action.key_created, record.id, name=record.name, scope=str(scope)))
     if as_json:
@@ -82,7 +84,7 @@ def list_keys(config: Config = None, home: Home = None, as_json: Json = False) -
         table.add_column(head)
     for d in found:
         times = (d[k] or "" for k in ("created", "expires", "used"))
-        cells = (d["id"], d["name"], d["scope"], d["state"], *times, d["used_from"])
+        cells = (d["id"], one_line(shown(d["name"])), d["scope"], d["state"], *times, d["used_from"])
         table.add_row(*map(Text, cells))  # names are no markup
     stdout().print(table)
 
@@ -107,7 +109,16 @@ def revoke(
     if as_json:
         print_json(revoked)
         return
-    say(f"{key_id} ({revoked['name']}) is revoked")
+    say(f"{key_id} ({shown(revoked['name'])}) is revoked")
+
+
+def _must_be_shown(name: str) -> None:
+    """Refuse a name that a terminal would obey, or that would not be kept whole."""
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise typer.BadParameter(
+            f"the name of a key has at most {LONGEST_NAME} characters, none of which is a control character",
+            param_hint="--name",
+        )
 
 
 def _document(row: KeyRow) -> dict[str, Any]:

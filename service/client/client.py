@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from unicodedata import normalize
 from uuid import uuid4
 
 from service.api.identifiers import is_id
@@ -67,7 +68,7 @@ class Rigs:
         if is_id("rig", name):
             return self.get(name)
         for rig in self.list(retired=True):
-            if rig.name != name:
+            if normalize("NFC", rig.name) != normalize("NFC", name):
                 continue
             if rig.retired_at is not None and not retired:
                 raise ConflictingError(

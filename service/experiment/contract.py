@@ -15,6 +15,7 @@ from service.experiment.data import Sweep
 from service.experiment.demodulate import BLOCKS, HARMONICS, demodulate, time_origin, whole_periods
 from service.experiment.errors import ExperimentFileError
 from service.experiment.speeds import impossible
+from service.remarks import shown
 
 FORMAT = "amb-experiment"
 VERSION = 1
@@ -29,12 +30,7 @@ def text(value: Any) -> str:
     if isinstance(value, np.ndarray):
         value = value.item() if value.size == 1 else "".join(str(v) for v in value.ravel())
     decoded = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-    return "".join(c if _can_be_shown(c) else "\N{REPLACEMENT CHARACTER}" for c in decoded)
-
-
-def _can_be_shown(letter: str) -> bool:
-    """Whether it is neither half a character nor what a terminal would obey."""
-    return letter.isprintable() or letter in "\t\n" or (letter.isspace() and letter > "\x9f")
+    return shown(decoded)
 
 
 def number(where: str, name: str, value: Any) -> float:

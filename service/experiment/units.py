@@ -25,6 +25,8 @@ APART = 5.0
 """Distance of a bearing over that of its sensor, or the other way round, from which they are not beside each other; one
 of them near the centre of gravity may look so, both of them not."""
 
+SLOWEST_HZ, SLOWEST = 1.0, 1e-4
+"""Frequency that some tone of an experiment reaches, and that over the controller's sampling rate: 1 Hz at 10 kHz."""
 AIR_GAP_M = (5e-6, 2e-2)
 """Air gaps that magnets have: from those of micromachines, tens of um, to a few mm."""
 DAMPED = 0.05
@@ -50,7 +52,7 @@ def must_be_in_si(experiment: Experiment, datasheet: Datasheet) -> None:
         where = f"sweeps/{k}"
         told = f"{where}: Y reaches {{}} m, the limit of displacement is {{}} m"
         _must_stay(_largest(sweep.Y, h), room_m, told, "m")
-        for name, x in (("U", sweep.U), ("I", sweep.I)):
+        for name, x in (("R", sweep.R), ("U", sweep.U), ("I", sweep.I)):
             if x is not None:
                 told = f"{where}: {name} reaches {{}} A, the limit of current is {{}} A"
                 _must_stay(_largest(x, h), datasheet.current_limit_a, told, "A")
@@ -59,6 +61,7 @@ def must_be_in_si(experiment: Experiment, datasheet: Datasheet) -> None:
                 f"{where} has tones up to {sweep.frequency_hz.max():.4g} Hz, which a controller with the datasheet's "
                 f"sample_time_s of {datasheet.sample_time_s:.4g} s cannot play: is that in ms?"
             )
+    _must_reach_the_rotor(experiment, datasheet.sample_time_s)
 
 
 def odd_rotor(datasheet: Datasheet) -> list[str]:
@@ -174,6 +177,15 @@ def odd_stiffness(found_over_datasheet: Mapping[str, NDArray[np.float64]]) -> li
     )
     remedy = both if len(off) > 1 else remedies[off[0]]
     return [f"identified are {told} the datasheet's, which is no tolerance: check the unit of {remedy}"]
+
+
+def _must_reach_the_rotor(experiment: Experiment, sample_time_s: float) -> None:
+    tones_hz = [float(s.frequency_hz.max()) for s in experiment.sweeps if s.kind != "noise" and s.n_points]
+    if tones_hz and max(tones_hz) < max(SLOWEST_HZ, SLOWEST / sample_time_s):
+        raise ExperimentFileError(
+            f"the tones end at {max(tones_hz):.4g} Hz, where nothing of a rotor shows whose controller has a "
+            f"sample_time_s of {sample_time_s:.4g} s: is frequency_hz in kHz?"
+        )
 
 
 def _largest(x: NDArray[np.complex128], harmonic: int) -> float:

@@ -42,6 +42,8 @@ from sim.twin import non_rotating
 FEWEST_LINES = 5
 """Fewest lines of the fitted sweep: with four, a rig with two axes and two modes has some thirty values of y, about as
 many as nuisance values."""
+NARROWEST = 1.001
+"""Highest over lowest frequency of these lines, below which all of them tell the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +213,12 @@ def _require_lines(name: str, frequency_hz: NDArray[np.float64], of_which: str =
         raise GapError(
             f"{name} has {lines} {of_which} lines; a diagnosis needs at least {FEWEST_LINES}, or the datasheet's "
             "uncertain values explain whatever there is: measure more"
+        )
+    lowest, highest = float(frequency_hz.min()), float(frequency_hz.max())
+    if highest < NARROWEST * lowest:
+        raise GapError(
+            f"{name} has all its {of_which} lines between {lowest:.9g} and {highest:.9g} Hz, which is one place of the "
+            "frequency response: measure over the loop's band"
         )
 
 

@@ -26,6 +26,9 @@ MOST_MISSED = 1000
 DRAWN = "RrHh"
 """Beginnings of a field that `croniter` draws anew whenever it is asked, or from a name that a schedule lacks."""
 
+OF_A_MACHINE = ("localtime", "posixrules")
+"""What some systems keep beside the time zones: links to the one that the machine was given."""
+
 
 class ScheduleError(AmbError):
     """A schedule that cannot be kept: the message says why."""
@@ -54,12 +57,15 @@ def checked(cron: str, timezone: str = "UTC") -> str:
             f"schedule {cron!r} cannot be kept: {drawn[0]!r} is drawn by chance; give the numbers, as 30 for the minute"
         )
     start = datetime(2026, 1, 1, tzinfo=UTC).astimezone(zone)
+    times: list[datetime] = []
     try:
         runs = croniter(expression, start)
-        times = [runs.get_next(datetime) for _ in range(TELLS)]
+        while len(times) < TELLS:
+            times.append(runs.get_next(datetime))
     except (CroniterBadCronError, CroniterBadDateError, ValueError, KeyError) as error:
-        raise ScheduleError(f"schedule {cron!r} cannot be read: {str(error).splitlines()[0]}") from error
-    shortest = min(b.astimezone(UTC) - a.astimezone(UTC) for a, b in pairwise(times))
+        if not times:  # one that is due so seldom that the calendar ends before is kept
+            raise ScheduleError(f"schedule {cron!r} cannot be read: {str(error).splitlines()[0]}") from error
+    shortest = min((b.astimezone(UTC) - a.astimezone(UTC) for a, b in pairwise(times)), default=SHORTEST)
     if shortest < SHORTEST:
         raise ScheduleError(
             f"schedule {cron!r} runs every {shortest.total_seconds():.0f} s; a check takes minutes: leave at least "
@@ -149,6 +155,10 @@ def kept(
 
 
 def _zone(name: str) -> ZoneInfo:
+    if name in OF_A_MACHINE:
+        raise ScheduleError(
+            f"the time zone {name!r} is another one on every machine; give its name, as 'Europe/Zurich'"
+        )
     try:
         return ZoneInfo(name)
     except (KeyError, ValueError, OSError) as error:

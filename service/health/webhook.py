@@ -231,8 +231,8 @@ def checked_url(url: str, loopback: bool = True) -> str:
     Raises
     ------
     WebhookError
-        Not http or https, no host or one that no name server can know, port 0, a password, a space or a control
-        character; or an address as of `permitted_address`.
+        Not http or https, no host or one that no name server can know, port 0, a password, a fragment, a space or a
+        control character; or an address as of `permitted_address`.
     """
     if any(c <= " " or c == "\x7f" for c in url):  # looked for first: urlsplit leaves some of them out
         raise WebhookError(f"webhook address {url!r} has a space or control character; write it as %20 and the like")
@@ -247,6 +247,8 @@ def checked_url(url: str, loopback: bool = True) -> str:
         raise WebhookError(f"webhook address {url!r} cannot be read: {error}") from error
     if parts.scheme not in ("http", "https") or not host:
         raise WebhookError(f"webhook address {url!r} is no http or https address of a host")
+    if parts.fragment:
+        raise WebhookError(f"webhook address {url!r}: what is behind # reaches no receiver; write a # in it as %23")
     if parts.username or parts.password:
         raise WebhookError("a webhook address holds no user or password: messages are signed instead")
     try:

@@ -10,7 +10,7 @@ import time
 from datetime import UTC, datetime
 from ipaddress import ip_address
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import urldefrag, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
 import httpx
@@ -157,7 +157,7 @@ def _post(url: str, message: webhook.Message, loopback: bool) -> tuple[int | Non
 
 async def _answer(url: str, message: webhook.Message, loopback: bool) -> tuple[int, str, float | None]:
     async with asyncio.timeout(DEADLINE_S):
-        proxied = _by_proxy(webhook.checked_url(url, loopback))
+        proxied = _by_proxy(webhook.checked_url(urldefrag(url).url, loopback))
         targets = [httpx.URL(url)] if proxied else await _targets(httpx.URL(url), loopback)
         trusted = httpx.create_ssl_context()  # with the authorities of SSL_CERT_FILE, which trust_env would leave out
         async with httpx.AsyncClient(

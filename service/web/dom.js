@@ -16,6 +16,19 @@ export function h(tag, attributes, ...children) {
   return element;
 }
 
+// Draws anew what differs. What stays is left in its place: it keeps the focus, and a click that is under way.
+export function renew(place, made) {
+  const old = [...place.childNodes];
+  made.forEach((node, k) => {
+    const was = old[k];
+    if (!was) place.append(node);
+    else if (was.isEqualNode(node)) return;
+    else if (was.nodeType === Node.ELEMENT_NODE && was.cloneNode(false).isEqualNode(node.cloneNode(false))) renew(was, [...node.childNodes]);
+    else was.replaceWith(node);
+  });
+  old.slice(made.length).forEach((node) => node.remove());
+}
+
 export function table(heads, rows, numbers = []) {
   const kind = (k) => (numbers.includes(k) ? { class: "n" } : {});
   return h("div", { class: "scroll" }, h("table", {},

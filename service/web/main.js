@@ -24,7 +24,7 @@ class Context {
   }
 
   every(ms, what) {
-    this.timers.push(setInterval(() => { if (!document.hidden) what(); }, ms));
+    this.timers.push(setInterval(() => { if (!document.hidden && !view.querySelector("button:active, a:active")) what(); }, ms));
   }
 
   then(what) {
@@ -128,7 +128,10 @@ async function show() {
   try {
     const parts = await route(context);
     if (context.signal.aborted) return;
+    const held = document.activeElement;
+    const kept = view.contains(held) && held !== view;
     view.replaceChildren(...parts.filter((p) => p !== ""));
+    if (kept) [...view.querySelectorAll(held.tagName)].find((same) => same.isEqualNode(held))?.focus({ preventScroll: true });
     context.later.forEach((what) => what());
     if (left || about !== ASKED) told(null);
     form.hidden = true;
@@ -152,6 +155,9 @@ form.addEventListener("submit", (event) => {
   show();
 });
 window.addEventListener("hashchange", show);
+// A browser keeps a page that is left, for who comes back, and what it listens to: six of these, and no answer comes through.
+window.addEventListener("pagehide", () => current?.end());
+window.addEventListener("pageshow", (event) => { if (event.persisted) show(); });
 version().then((found) => { document.getElementById("version").textContent = found ? "ambit " + found.version : ""; });
 if (key()) form.hidden = true;
 show();

@@ -2,7 +2,7 @@
 
 import { documentLink, get, post } from "./api.js";
 import { confirmed, motion } from "./confirm.js";
-import { figures, fixed, h, nothing, number, section, state, table, when } from "./dom.js";
+import { figures, fixed, h, nothing, number, renew, section, state, table, when } from "./dom.js";
 import * as plots from "./plots.js";
 import * as tables from "./tables.js";
 
@@ -32,8 +32,9 @@ export async function rig(id, context) {
 function live(found, context) {
   const place = h("div", { id: "live" });
   if (!found.controller_url) return nothing("This rig has no controller: experiments are uploaded.");
+  let now = null;
   const show = async () => {
-    const now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => error);
+    now = await get("/rigs/" + found.id + "/status", context.signal).catch((error) => error);
     if (context.signal.aborted) return;
     if (now instanceof Error) { // of the service: of the controller nothing is known
       place.replaceChildren(h("p", { class: "note" }, "What it does now is not known: " + now.message));
@@ -50,9 +51,9 @@ function live(found, context) {
       ["excitation, A", number(now.excitation_a, 3)], ["speed, rad/s", number(now.speed_rad_s, 4)],
       ["displacements, µm", by(now.displacement_m, 1e6, 2)], ["currents, A", by(now.current_a, 1, 3)],
     ];
-    place.replaceChildren(h("dl", {}, figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
+    renew(place, [...h("div", {}, h("dl", {}, figures.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
       now.trip_message ? h("p", { class: "note" }, now.trip_message) : "",
-      now.state === "tripped" && !found.retired_at ? h("button", { class: "acknowledge", onclick: acknowledge(found, now, context) }, "Acknowledge the trip") : "");
+      now.state === "tripped" && !found.retired_at ? h("button", { class: "acknowledge", onclick: () => acknowledge(found, now, context)() }, "Acknowledge the trip") : "").childNodes]);
   };
   show();
   context.every(2000, show);

@@ -2,7 +2,7 @@
 
 import { confirmed, motion } from "./confirm.js";
 import { documentLink, events, get, post } from "./api.js";
-import { duration, h, nothing, phase, state, table, when } from "./dom.js";
+import { duration, h, nothing, phase, renew, state, table, when } from "./dom.js";
 
 const WATCHED = 3; // a browser opens six connections to a server; the page itself needs some
 const ACTIVE = ["queued", "running"];
@@ -20,7 +20,7 @@ export function jobs(list, names, context) {
   const alive = list.map((job, k) => [job, lines[k]]).filter(([job]) => active(job));
   for (const [job, line] of alive.slice(-WATCHED)) {
     events("/jobs/" + job.id + "/events", (now) => {
-      line.replaceChildren(...cells(now, names, context).map((cell) => h("td", {}, cell)));
+      renew(line, cells(now, names, context).map((cell) => h("td", {}, cell)));
       if (!active(now)) context.refresh();
     }, context);
   }
@@ -60,7 +60,7 @@ export function progress(job) {
 }
 
 function cancel(job, context) {
-  const button = h("button", { class: "danger", disabled: job.cancel_requested }, job.cancel_requested ? "stopping" : "Cancel");
+  const button = h("button", { class: "danger", value: job.id, disabled: job.cancel_requested }, job.cancel_requested ? "stopping" : "Cancel");
   button.addEventListener("click", () => context.doing(async () => {
     button.disabled = true; // until the job says that it stops
     await post("/jobs/" + job.id + "/cancel").catch((error) => { button.disabled = false; throw error; });
@@ -89,7 +89,7 @@ export async function job(found, names, context) {
     if (now.state === "done" && now.result.gap) diagnosed(now.result.gap, told, context).catch(context.told);
     draw(now);
   };
-  const draw = (now) => place.replaceChildren(
+  const draw = (now) => renew(place, [...h("div", {},
     h("p", { class: "lead " + { failed: "bad", cancelled: "warn" }[now.state] }, state(now.state), " ", progress(now)),
     now.error ? h("p", { class: "note" }, now.error.detail) : "",
     table(["", ""], [
@@ -103,7 +103,7 @@ export async function job(found, names, context) {
     ]),
     active(now) ? h("p", { class: "row" }, cancel(now, context)) : "",
     RETRIABLE.includes(now.state) ? h("p", { class: "row" }, retry(now, context)) : "",
-  );
+  ).childNodes]);
   show(found);
   if (active(found)) events("/jobs/" + found.id + "/events", show, context);
   return [h("h2", {}, "Job ", h("span", { class: "small" }, found.id)), told, place];

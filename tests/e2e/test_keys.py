@@ -44,6 +44,21 @@ def test_the_first_key_is_an_admins_and_is_shown_once(ambit, tmp_path):
     assert "key.revoked" in kept(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["a\x1b]0;title\x07", "two\nlines", "dear\u202eelbatrops", "n" * 201])
+def test_a_name_that_would_not_be_shown_as_it_is_is_refused(ambit, name):
+    done = ambit("keys", "create", "--name", name)
+    assert done.returncode == 2
+    assert "at most 200 characters, none of which is a control character" in " ".join(done.stderr.split())
+    assert json.loads(ambit("keys", "list", "--json").stdout)["keys"] == []
+
+
+def test_a_name_that_an_older_version_took_is_marked_where_it_is_listed(ambit, tmp_path):
+    ambit("keys", "create", "--name", "bench")
+    with closing(sqlite3.connect(tmp_path / "home" / "ambit.db")) as connection, connection:
+        connection.execute("UPDATE api_keys SET name = 'a' || char(27) || '[31mred' || char(10) || 'key'")
+    assert "a\ufffd[31mred key" in ambit("keys", "list").stdout
+
+
 def test_a_key_that_does_not_exist_cannot_be_revoked(ambit):
     done = ambit("keys", "revoke", "key_nobody")
     assert done.returncode == 1

@@ -314,6 +314,17 @@ def test_a_file_that_both_lost_is_named(tmp_path):
     restore(Settings(home=tmp_path / "new"), path)
 
 
+@pytest.mark.parametrize("folder", [".", "store", "store/backups", "work", "controllers", "../home/work/.."])
+def test_a_backup_is_not_made_among_the_files_of_the_service(tmp_path, folder):
+    settings = Settings(home=tmp_path / "home")
+    lived_in(settings)
+    before = sorted(settings.home.rglob("*"))
+    with pytest.raises(OutputError, match="give the backups another folder"):
+        create(settings, settings.home / folder)
+    assert sorted(settings.home.rglob("*")) == before
+    assert create(settings, settings.home / "backups")[0].is_dir(), "as compose.yaml mounts them"
+
+
 def test_nobody_else_reads_a_backup(tmp_path):
     """It holds webhooks' secrets and the addresses of rigs, its store what was measured."""
     old, folder = Settings(home=tmp_path / "old"), tmp_path / "backups"

@@ -401,13 +401,14 @@ def test_a_trip_is_acknowledged_on_the_page_once_somebody_has_confirmed_it(servi
 
 
 @needs_browser
-def test_a_phone_shows_every_page_without_scrolling_it_sideways(service, ids):
+@pytest.mark.parametrize("width", [390, 320])
+def test_a_phone_shows_every_page_without_scrolling_it_sideways(service, ids, width):
     with tab() as page:
-        page.narrow(390)
+        page.narrow(width)
         for place in ("#/", f"#/rig/{ids['rig']}", f"#/job/{ids['failed']}", "docs"):
             page.open(f"{service.url}/{place}")
             page.until(f"document.documentElement.dataset.shown === '{place}'")
-            assert page.run("document.documentElement.scrollWidth") == 390, place
+            assert page.run("document.documentElement.scrollWidth") == width, place
 
 
 @needs_browser
@@ -447,6 +448,64 @@ def test_cancel_on_the_page_asks_the_service(service, ids):
         page.until("document.querySelector('.state.cancelled')", 10)
     with service.services.database.read() as session:
         assert jobs.get(session, job).state == jobs.CANCELLED
+
+
+@needs_browser
+@pytest.mark.parametrize("place", ["#/job/{}", "#/"])
+def test_cancel_stays_under_finger_and_focus_while_a_job_tells_how_far_it_is(service, ids, place):
+    with service.services.database.write() as session:
+        job = jobs.submit(session, "gap", ids["second"], 1, "laptop")
+        job.state = jobs.RUNNING
+    cancel = "document.querySelector('button.danger')"  # of the newest
+    with tab() as page:
+        page.open(f"{service.url}/{place.format(job.id)}")
+        page.until("document.querySelector('button.danger')")
+        time.sleep(1.0)  # the first event is what was read already
+        page.run(f"{cancel}.focus(); window.seen = {cancel}; 0")
+        for percent in (20.0, 40.0):
+            with service.services.database.write() as session:
+                row = session.get(JobRow, job.id)
+                row.percent, row.changes = percent, row.changes + 1
+            page.until(f"document.body.innerText.includes('{percent:.0f} %')")
+            assert page.run("document.activeElement === window.seen && window.seen.isConnected")
+        assert page.complaints == []
+    with service.services.database.write() as session:
+        session.get(JobRow, job.id).state = jobs.CANCELLED
+
+
+@needs_browser
+def test_the_focus_stays_where_it_is_when_the_overview_is_drawn_anew(service, ids):
+    with tab() as page:
+        page.open(f"{service.url}/#/")
+        page.until("document.querySelectorAll('main section').length === 2")
+        page.run(f"window.seen = document.querySelector('a[href=\"#/rig/{ids['second']}\"]'); window.seen.focus(); 0")
+        page.run("window.dispatchEvent(new HashChangeEvent('hashchange'))")
+        page.until("!window.seen.isConnected")
+        assert page.run("document.activeElement.href === window.seen.href")
+
+
+@needs_browser
+def test_a_page_that_was_left_listens_to_nothing(service, ids):
+    """A browser opens six connections to a server, and keeps pages that were left: the seventh page had no answer."""
+    with service.services.database.write() as session:
+        job = jobs.submit(session, "gap", ids["second"], 1, "laptop")
+        job.state = jobs.RUNNING
+    with tab() as page:
+        for _ in range(8):
+            page.open(f"{service.url}/#/job/{job.id}")
+            page.until("document.querySelector('.state.running')", 5)
+            time.sleep(0.3)
+            page.open("about:blank")
+            page.until("location.href === 'about:blank'")
+        page.open(f"{service.url}/#/job/{job.id}")
+        page.until("document.querySelector('.state.running')", 5)
+        page.open("about:blank")
+        page.run("history.back()")
+        page.until("document.querySelector('.state.running')", 5)
+        with service.services.database.write() as session:
+            row = session.get(JobRow, job.id)
+            row.state, row.ended_at, row.changes = jobs.CANCELLED, now(), row.changes + 1
+        page.until("document.querySelector('.state.cancelled')", 10)
 
 
 @needs_browser

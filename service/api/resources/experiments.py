@@ -21,7 +21,7 @@ from service.api.access import KeyFirst
 from service.api.auditing import audit
 from service.api.lists import Asked, Listed, OfRig, asked_by_making
 from service.api.once import Answer, once
-from service.api.problems import MediaTypeError, TooLargeError, documented
+from service.api.problems import MediaTypeError, TooLargeError, UnprocessableError, documented
 from service.api.resources import examples
 from service.api.shapes import (
     ExperimentId,
@@ -35,6 +35,7 @@ from service.api.shapes import (
 )
 from service.api.state import Api, Services
 from service.private import private_folder
+from service.remarks import can_be_shown
 from service.storage import results, rigs
 from service.storage.database import now
 from service.storage.ids import new_id
@@ -142,6 +143,8 @@ async def upload_experiment(
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type not in TYPES:
         raise MediaTypeError(f"the body is {media_type or 'of no type'}; send one of {', '.join(TYPES)}")
+    if not all(map(can_be_shown, filename)):
+        raise UnprocessableError("the name of the file has a character that a terminal would obey; rename it")
     with tempfile.TemporaryDirectory(prefix="upload-", dir=_incoming(api)) as folder:
         received, sent = await _received(request, Path(folder) / f"received{TYPES[media_type]}", api)
         name = filename if Path(filename).suffix else filename + TYPES[media_type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated
+from unicodedata import normalize
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import ConfigDict, Field
@@ -163,7 +164,7 @@ def shape(rig: Rig, version: RigVersion) -> RigShape:
 
 
 def _checked(wanted: RigWanted, services: Services) -> str:
-    """Name of a rig that can be used.
+    """Name of a rig that can be used, as it is kept.
 
     Raises
     ------
@@ -172,7 +173,7 @@ def _checked(wanted: RigWanted, services: Services) -> str:
     """
     sheet = rig_file.parse(wanted.datasheet, "datasheet")
     checked_url(wanted.controller_url, services.settings)
-    name = wanted.name or sheet.name
+    name = normalize("NFC", wanted.name or sheet.name)  # as one letter, or letter and accent: it looks the same
     if len(name) > LONGEST_NAME or not name.isprintable():  # it is shown in logs and on terminals, which would obey it
         raise UnprocessableError(
             f"the name of a rig has at most {LONGEST_NAME} characters, none of which is a control character; give "
@@ -262,11 +263,11 @@ def change_rig(
     request: Request, rig_id: RigId, wanted: RigWanted, who: Operator, api: Api, if_match: IfMatch = None
 ) -> Response:
     """Give a rig a new datasheet or controller; the version before is kept."""
-    _checked(wanted, api)
+    name = _checked(wanted, api)
     with api.database.write() as session:
         rig = rigs.get(session, rig_id, for_update=True)
         etags.require_match(if_match, tag(rig))
-        if wanted.name is not None and wanted.name != rig.name:
+        if wanted.name is not None and name != normalize("NFC", rig.name):
             raise ConflictError(f"the rig is named {rig.name!r} and keeps its name; leave the field name out")
         rigs.change(session, rig, wanted.datasheet, wanted.controller_url, wanted.note, who.name)
         audit(session, request, who, Action.rig_changed, rig.id, rig=rig.id, version=rig.version)

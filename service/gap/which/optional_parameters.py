@@ -29,6 +29,7 @@ from service.gap.which.one_more_effect import rough_beside, rough_stages
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 from sim.effects.magnetic_hysteresis import DENSITIES
+from sim.errors import EffectError
 
 Complex = NDArray[np.complex128]
 
@@ -104,7 +105,11 @@ def on_stops_off_centre(
     effect = CATALOGUE[STOP].of(ground.nuisance.rig)
     furthest = max(range(len(plain)), key=lambda k: float(np.abs(ground.observations[k].Y).max()))
     unexplained = SweepResiduals(null.fit.rig, plain[furthest], ground.observations[furthest], ground)
-    if starts := off_centre(effect, basic.fit.values[0], unexplained):
+    try:
+        starts = off_centre(effect, basic.fit.values[0], unexplained)
+    except EffectError:  # the fitted twin has another air gap than the datasheet, and cannot have such stops
+        return
+    if starts:
         held = frozenset({(STOP, "side")})  # which sides there are is told by where the middle is
         yield Task(ground, (STOP,), tuple((start,) for start in starts), null.fit.theta, (PROBE, EXACT), nulled=held)
 

@@ -21,6 +21,8 @@ SUSPECT = ("not settled", "unsettled", "is distorted")
 """A point whose flag has one of these counts little: its mean is off by more than its noise."""
 FEWEST_LINES = 5
 """Different frequencies of an axis, below which no start of a fit is found, however often each was measured."""
+NARROWEST = 1.001
+"""Highest over lowest frequency, below which all of them tell the same of a plant: lines of a step are one equation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,6 +243,12 @@ def check_excitation(points: PlanePoints, minimum: int = 8) -> None:
         raise AmbError(
             f"plane {points.plane}: {points.axes[0]} and {points.axes[1]} are excited at {lines[0]} and {lines[1]} "
             f"different frequencies; at least {FEWEST_LINES} each are needed, as many points as there may be of each"
+        )
+    lowest, highest = float(points.omega.min()), float(points.omega.max())
+    if highest < NARROWEST * lowest:
+        raise AmbError(
+            f"plane {points.plane}: all points lie between {lowest / (2 * np.pi):.9g} and "
+            f"{highest / (2 * np.pi):.9g} Hz, which is one place of the response: measure over the band of the loop"
         )
 
 

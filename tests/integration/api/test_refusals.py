@@ -103,6 +103,24 @@ def test_a_name_that_a_terminal_would_obey_is_refused(api, name):
     assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": name}), 422, "control character")
 
 
+@pytest.mark.parametrize("name", ["a\x7f.h5", "dear\u202eelbatrops.h5", "a\x9b31m.h5"])
+def test_a_file_name_that_a_terminal_would_obey_is_refused(api, rig, name, tmp_path):
+    kind = {"content-type": "application/x-hdf5"}
+    content = good(tmp_path / "e.h5").read_bytes()
+    answer = api.post(f"/rigs/{rig}/experiments", content=content, headers=kind, params={"filename": name})
+    assert_problem(answer, 422, "a terminal would obey")
+
+
+def test_a_name_is_the_same_however_its_accents_are_written(api):
+    made = api.post("/rigs", json={"datasheet": SHEET, "name": "caf\N{LATIN SMALL LETTER E WITH ACUTE}"}).json()
+    accent = "cafe\N{COMBINING ACUTE ACCENT}"
+    assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": accent}), 409, made["id"])
+    seen = api.get(f"/rigs/{made['id']}")
+    same = {"datasheet": SHEET, "name": accent, "note": "renamed"}
+    changed = api.put(f"/rigs/{made['id']}", json=same, headers={"if-match": seen.headers["etag"]})
+    assert changed.json()["name"] == made["name"]
+
+
 @pytest.mark.parametrize("name", ["   ", "compressor 3 ", " pump"])
 def test_a_name_that_looks_like_another_or_none_is_refused(api, name):
     assert_problem(api.post("/rigs", json={"datasheet": SHEET, "name": name}), 422, "begins or ends with a space")

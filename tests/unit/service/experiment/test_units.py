@@ -25,13 +25,22 @@ def measured() -> Experiment:
     )
 
 
-@pytest.mark.parametrize(("name", "factor", "unit"), [("Y", 1e6, "µm"), ("Y", 1e3, "mm"), ("I", 1e3, "mA")])
+@pytest.mark.parametrize(
+    ("name", "factor", "unit"), [("Y", 1e6, "µm"), ("Y", 1e3, "mm"), ("I", 1e3, "mA"), ("R", 1e300, "mA")]
+)
 def test_amplitudes_that_no_rig_has_are_refused_with_the_unit_that_they_may_be_in(measured, name, factor, unit):
     must_be_in_si(measured, SHEET)
     (sweep,) = measured.sweeps
     wrong = replace(measured, sweeps=(replace(sweep, **{name: factor * getattr(sweep, name)}),))
     with pytest.raises(ExperimentFileError, match=rf"sweeps/0: {name} reaches .* is it in {unit}\?"):
         must_be_in_si(wrong, SHEET)
+
+
+def test_frequencies_in_kilohertz_are_told(measured):
+    (sweep,) = measured.sweeps
+    slow = replace(measured, sweeps=(replace(sweep, frequency_hz=1e-3 * sweep.frequency_hz),))
+    with pytest.raises(ExperimentFileError, match=r"the tones end at 0\.9 Hz, .* is frequency_hz in kHz\?"):
+        must_be_in_si(slow, SHEET)
 
 
 def test_a_sample_time_in_milliseconds_is_told(measured):

@@ -194,6 +194,15 @@ def test_a_current_that_one_sweep_lacks_is_used_in_neither() -> None:
     assert any("sweeps/1 has no coil current" in note for note in d.notes)
 
 
+def test_lines_at_one_place_of_the_frequency_response_are_no_diagnosis() -> None:
+    measured, sheet = one_plane(MEASURED, SHEET)
+    main, other = measured.sweeps
+    lines, of_line = np.unique(main.frequency_hz, return_inverse=True)
+    beside = replace(main, frequency_hz=100 * (1 + 1e-6 * np.arange(len(lines)))[of_line])
+    with pytest.raises(GapError, match=r"all its usable lines between 100 and 100\.0\d* Hz, which is one place"):
+        diagnose(replace(measured, sweeps=(beside, other)), sheet)
+
+
 def test_a_sweep_of_three_lines_is_no_diagnosis() -> None:
     measured, sheet = one_plane(MEASURED, SHEET)
     main, other = measured.sweeps

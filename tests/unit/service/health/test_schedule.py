@@ -102,6 +102,18 @@ def test_a_good_schedule_is_kept_as_it_is():
         checked("0 6 * * *", "Mars/Olympus")
 
 
+def test_a_schedule_that_is_due_once_in_decades_is_kept():
+    """On a 29 February that is the fifth Monday: the calendar ends before a few hundred of them."""
+    assert checked("0 6 29 2 1#5") == "0 6 29 2 1#5"
+    assert next_run("0 6 29 2 1#5", at("2026-01-01T00:00")) == at("2044-02-29T06:00")
+
+
+@pytest.mark.parametrize("zone", ["localtime", "posixrules"])
+def test_a_time_zone_that_differs_by_machine_is_refused(zone):
+    with pytest.raises(ScheduleError, match="another one on every machine"):
+        checked("0 6 * * *", zone)
+
+
 def test_a_long_absence_is_cut_to_the_latest_thousand():
     runs = due_runs("*/5 * * * *", at("2026-01-01T00:00"), at("2026-01-15T00:00"))
     assert len(runs) == 1000

@@ -124,7 +124,7 @@ def test_success_is_not_repeated_and_gone_is_final():
         *("ftp://host/x", "http:///x", "https://user:pass@host/", "host/x", "http://[::1"),
         *("http://a..b/", "http://.a/", f"http://{'a' * 300}/", "http://☃.net/", "http://☃.xn--0/", "http://xn--0/"),
         *("http://999.1.1.1/", "http://host/\x01", "http://ho\tst/", " http://host/", "http://host/a b"),
-        *("http://host:0/", "http://host:99999/"),
+        *("http://host:0/", "http://host:99999/", "http://host/hook#token", "http://host%2f/", "http://ho%73t/"),
     ],
 )
 def test_addresses_that_cannot_be_used_are_refused(bad):

@@ -216,6 +216,16 @@ def test_points_at_a_few_frequencies_are_refused_however_many_they_are(
         identify(replace(experiment, sweeps=(main.select(np.tile(few, 8)),)), datasheet)
 
 
+def test_points_at_one_place_of_the_frequency_response_are_refused(
+    experiment: Experiment, datasheet: Datasheet
+) -> None:
+    main = experiment.main
+    lines, of_line = np.unique(main.frequency_hz, return_inverse=True)
+    beside = replace(main, frequency_hz=100 * (1 + 2e-6 * np.arange(len(lines)))[of_line])
+    with pytest.raises(AmbError, match=r"all points lie between 100 and 100\.0\d* Hz, which is one place"):
+        identify(replace(experiment, sweeps=(beside,)), datasheet)
+
+
 def test_one_block_is_refused(experiment: Experiment, datasheet: Datasheet) -> None:
     main = experiment.main
     single = replace(main, R=main.R[:, :1], U=main.U[:, :1], I=main.I[:, :1], Y=main.Y[:, :1])

@@ -1,6 +1,7 @@
 """Where a fit of a resonance, a voltage limit or a drift begins."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from service.gap.fitting.starts import resonances
 from service.gap.fitting.starts.of_effect import SEARCHES, starts
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.measured.observation import observe
+from service.gap.which.optional_parameters import on_stops_off_centre
 from service.gap.which.search import explain, plain_twin
 from sim.effects import CATALOGUE
 from sim.twin import with_effects
@@ -174,6 +176,9 @@ def test_a_stop_that_the_fitted_twin_cannot_have_begins_as_typical() -> None:
     effect = CATALOGUE["touchdown_contact"]
     (only,) = starts(effect, SweepResiduals(rig, left, o, ground))
     assert only["stiffness_n_per_m"] == next(p for p in effect.of(nu.rig).parameters).typical
+    basic = SimpleNamespace(effects=(effect.id,), fit=SimpleNamespace(values=[only]))
+    null = SimpleNamespace(fit=SimpleNamespace(rig=rig, theta=ground.theta))
+    assert list(on_stops_off_centre(ground, null, [left], [basic])) == [], "none off the centre either"
 
 
 def test_every_search_is_of_an_effect() -> None:
