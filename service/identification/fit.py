@@ -166,15 +166,19 @@ def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> Within:
             "the sweep that was left for cross-validation cannot be used (blocks or points too few): the fit is judged "
             "on the data that it was made from"
         )
-    settled = settled_alike(found, main.sweep, p.axes, p.datasheet, options)
+
+    def alike(planes: dict[str, FittedPlane]) -> dict[str, FittedPlane]:
+        return settled_alike(planes, main.sweep, p.axes, p.datasheet, options)
 
     def again(plane: str, released: Tolerances | None, given: Given | None) -> FittedPlane:
         of = (main.sweep, amplifier, validation, p.axes, plane, p.datasheet, options, p.chain, released, given)
         return fit_plane(*of)
 
+    settled = alike(found)
     told = {plane: Tolerances.of_given(p.datasheet, f.data.plant.axes) for plane, f in settled.items()}
     within = within_tolerances(settled, told, again)
-    return replace(within, doubts=(*doubts, *within.doubts))
+    planes = alike(within.planes) if within.adjusted else within.planes
+    return replace(within, planes=planes, doubts=(*doubts, *within.doubts))
 
 
 def _results(p: _Prepared, fitted: Mapping[str, FittedPlane], say: Progress) -> dict[str, PlaneResult]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from service.identification.controller.check import check_controller
 from service.identification.fit import identify
 from service.identification.plane.layout import GIVEN, SHIFTS
 from service.identification.plane.model import PlaneModel
+from service.identification.plane_fit import FittedPlane, settled_alike
 from service.identification.result.commissioning import CommissioningResult
 from service.identification.result.saved import saved_planes
 from service.report.commissioning import commissioning_page
@@ -57,8 +59,20 @@ def rig(truth: dict[str, PlaneModel]) -> dict[str, PlaneModel]:
 
 
 @pytest.fixture(scope="module")
-def off_result(rig: dict[str, PlaneModel], datasheet: Datasheet, controller) -> CommissioningResult:
-    return identify(measured(rig, datasheet, controller), datasheet)
+def asked() -> list[bool]:
+    """Whether planes that are looked at for what one of them tells of all are those with other values, each time."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def off_result(rig: dict[str, PlaneModel], datasheet: Datasheet, controller, asked: list[bool]) -> CommissioningResult:
+    def recorded(planes: dict[str, FittedPlane], *rest: Any) -> dict[str, FittedPlane]:
+        asked.append(all(f.given is not None for f in planes.values()))
+        return settled_alike(planes, *rest)
+
+    with pytest.MonkeyPatch.context() as m:
+        m.setattr("service.identification.fit.settled_alike", recorded)
+        return identify(measured(rig, datasheet, controller), datasheet)
 
 
 def test_such_a_rig_behaves_as_its_model(off_result: CommissioningResult) -> None:
@@ -68,6 +82,13 @@ def test_such_a_rig_behaves_as_its_model(off_result: CommissioningResult) -> Non
         assert plane.cross_validation_fit_percent is not None
         assert plane.cross_validation_fit_percent.min() > 99.5
     assert any("the planes are identified with these" in w for w in off_result.warnings)
+
+
+def test_what_rang_in_one_plane_is_looked_for_in_all_with_other_values_too(
+    off_result: CommissioningResult, asked: list[bool]
+) -> None:
+    assert off_result.adjusted
+    assert asked == [False, True]
 
 
 def test_its_stiffness_is_right_within_its_deviation_which_allows_for_what_no_data_tell(
