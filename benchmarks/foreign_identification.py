@@ -45,7 +45,7 @@ def draw(index: int, seed: int, loose: bool) -> tuple[Truth, dict[str, Any], tup
         rig = other_rotor(rng) if index % 2 else Truth()
         sheet = datasheet(rig, rng, TOLERANCE if loose else PRACTICE)
         if loose:
-            rig.sensor_gain = 1 + TOLERANCE["sensor_gain"] * rng.standard_normal(4)
+            rig.loop["sensor_gain"] = 1 + TOLERANCE["sensor_gain"] * rng.standard_normal(4)
         sweeps = plan(rig, rng, 0.6)
         try:
             if levitates(rig):
