@@ -467,7 +467,11 @@ def test_cancel_stays_under_finger_and_focus_while_a_job_tells_how_far_it_is(ser
                 row = session.get(JobRow, job.id)
                 row.percent, row.changes = percent, row.changes + 1
             page.until(f"document.body.innerText.includes('{percent:.0f} %')")
-            assert page.run("document.activeElement === window.seen && window.seen.isConnected")
+            assert page.run("document.activeElement.isEqualNode(window.seen)")
+            # the overview is drawn anew every few seconds, too, and keeps the focus alone
+            drawn_anew = place == "#/" and page.run("!window.seen.isConnected")
+            assert drawn_anew or page.run("document.activeElement === window.seen")
+            page.run("window.seen = document.activeElement; 0")
         assert page.complaints == []
     with service.services.database.write() as session:
         session.get(JobRow, job.id).state = jobs.CANCELLED
