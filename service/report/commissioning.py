@@ -213,7 +213,8 @@ def _adjusted(result: CommissioningResult) -> Iterator[str]:
         yield table(head, rows)
         yield paragraph(
             "Mass, geometry and sensor gains are the datasheet's where these explain the data. Here they do not, and "
-            "these, each as likely as its tolerance says, do: the centre of gravity towards A, sensors away from it. "
+            "these, each as likely as its tolerance says, do. Positions are changes: the centre of gravity towards A, "
+            "sensors away from it. "
             "A standard deviation close to the tolerance says that the data tell nothing of the value.",
             "small",
         )

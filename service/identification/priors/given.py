@@ -12,12 +12,10 @@ WORDS = {
     "mass_kg": ("mass", "kg"),
     "transverse_inertia_kgm2": ("transverse inertia", "kg m²"),
     "centre_of_gravity_m": ("centre of gravity", "m"),
-    "sensor_shift_A_m": ("place of the sensors A", "m"),
-    "sensor_shift_B_m": ("place of the sensors B", "m"),
+    "sensor_shift_A_m": ("sensor position A", "m"),
+    "sensor_shift_B_m": ("sensor position B", "m"),
 }
-"""What a value is, and its unit; all others are gains."""
-
-
+"""What a value is, and its unit; positions as changes from the datasheet's; all others are gains."""
 GAINS = ("sensor_gain_A", "sensor_gain_B")
 
 

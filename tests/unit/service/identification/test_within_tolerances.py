@@ -159,7 +159,7 @@ def test_a_value_far_off_is_told(truth: dict[str, PlaneModel], datasheet: Datash
     """A sensor that sits 6 mm from where the drawing has it."""
     found = identify(measured(other(truth, {"sensor_shift_A_m": 6e-3}), datasheet, controller), datasheet)
     (told,) = [w for w in found.warnings if "rather wrong than loose" in w]
-    assert told.startswith("place of the sensors A by +")
+    assert told.startswith("sensor position A by +")
     (held,) = [a for a in found.adjusted if a.name == "sensor_shift_A_m"]
     assert held.value == pytest.approx(6e-3, rel=0.1)
 
@@ -203,5 +203,5 @@ def test_the_report_shows_what_is_held(
 ) -> None:
     page = commissioning_page(off_result, measured(rig, datasheet, controller), datasheet)
     assert "held within the datasheet" in page
-    assert "place of the sensors B, m" in page
+    assert "sensor position B, m" in page
     assert "transverse inertia, kg m²" in page
