@@ -33,7 +33,11 @@ ALIASES = (
 def extended_report(
     refined: Refined, splits: Posterior | None, data: Data, datasheet: Datasheet, u: Uncertainty
 ) -> dict[str, Any]:
-    """Inertia and centre of gravity with the mass known, and what can be told of the whole set."""
+    """Inertia and centre of gravity with the mass known, and what can be told of the whole set.
+
+    Where these were held within the datasheet's tolerances, as mass and sensors were, ``u`` has what is not known of
+    all that together: their deviations, and how they go together with other figures, are by that.
+    """
     model = refined.model
     r, jacobian = residuals(model, data, refined.weights, refined.amplitude)
     assert jacobian is not None
@@ -50,20 +54,24 @@ def extended_report(
         "transverse_inertia_kgm2": datasheet.tolerance.transverse_inertia * datasheet.transverse_inertia_kgm2,
         "centre_of_gravity_m": datasheet.tolerance.sensor_position_m,
     }
+    within = all(u.free[model.layout.index(name)] for name in asked)
+    spread: dict[str, tuple[float, float]] = {}
     for name in asked:
-        k = int(np.searchsorted(places, model.layout.index(name)))
-        std = float(np.sqrt(covariance[k, k]))
-        out[name] = {
-            "value": float(model.theta[model.layout.index(name)] + step[k]),
-            "std": std,
-            "nominal": told[name],
-            "identifiable": bool(std < tolerance[name]),
-        }
+        place = model.layout.index(name)
+        k = int(np.searchsorted(places, place))
+        spread[name] = float(model.theta[place] + step[k]), float(np.sqrt(covariance[k, k]))
+        value, std = spread[name]
+        better = std < tolerance[name]
+        if within:
+            at = int(np.searchsorted(np.flatnonzero(u.free), place))
+            std = float(np.sqrt(u.covariance[at, at]))
+            # the datasheet's tolerance is part of it: the data alone must tell as much again
+            better = np.sqrt(2) * std < tolerance[name]
+        out[name] = {"value": value, "std": std, "nominal": told[name], "identifiable": bool(better)}
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
-    wider = replace(u, covariance=covariance, from_data=covariance, free=free)
+    wider = u if within else replace(u, covariance=covariance, from_data=covariance, free=free)
     shown = {"transverse inertia": asked[0], "centre of gravity": asked[1]}
     out["correlations"] = correlations(model, wider, controller, shown).document()
-    spread = {name: (out[name]["value"], out[name]["std"]) for name in asked}
     out["profile"] = profiles(refined, splits, data, spread)
     out["identifiable"] = all(out[name]["identifiable"] for name in asked)
     out["given"] = {"mass_kg": float(model.theta[model.layout.index("mass_kg")])}

@@ -132,6 +132,24 @@ def test_responses_and_margins_are_known_as_well_as_they_are_measured(
             assert plane.margins[end].peak_std < 1.5 * result.planes[name].margins[end].peak_std
 
 
+def test_inertia_and_centre_of_gravity_are_told_as_they_are_known_where_mass_and_sensors_are_not(
+    off_result: CommissioningResult, rig: dict[str, PlaneModel]
+) -> None:
+    held = {a.name: a for a in off_result.adjusted}
+    for plane, model in rig.items():
+        extended = off_result.planes[plane].extended
+        for name in ("transverse_inertia_kgm2", "centre_of_gravity_m"):
+            told = extended[name]
+            assert abs(told["value"] - model.theta[model.layout.index(name)]) < 3 * told["std"]
+            assert told["std"] == pytest.approx(held[name].std)
+        # the data halve what is not known of the inertia; of the centre of gravity they tell next to nothing
+        assert extended["transverse_inertia_kgm2"]["identifiable"]
+        assert not extended["centre_of_gravity_m"]["identifiable"]
+        # mass and inertia in one proportion: only the force per mass is seen
+        names, matrix = extended["correlations"]["names"], np.array(extended["correlations"]["matrix"])
+        assert matrix[names.index("transverse inertia"), names.index("ksA")] > 0.5
+
+
 def test_a_rig_that_is_as_its_datasheet_says_is_held_there(result: CommissioningResult) -> None:
     assert result.adjusted == ()
     assert "adjusted" not in result.document()
