@@ -75,7 +75,8 @@ def identify(
     rotating, of_speed = None, []
     if any(prepared.chosen.speeds_rad_s):
         try:
-            rotating = turned(prepared.experiment, prepared.datasheet, of_planes, speed_of(main.sweep))
+            at = speed_of(main.sweep)
+            rotating = turned(prepared.experiment, prepared.datasheet, of_planes, at, within.rotor)
             of_speed = [f"rotating: {w}" for w in rotating.warnings]
         except AmbError as error:  # the planes' results stand
             of_speed = [f"measured at speed, but the rotating model was not fitted: {error}"]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.joint.one_rotor import one_rotor
+from service.identification.joint.one_rotor import OneRotor, one_rotor
 from service.identification.plane_fit import FittedPlane
 from service.identification.priors.given import Adjusted, Given
 from service.identification.priors.tolerances import STRAINED, Tolerances
@@ -43,8 +43,14 @@ class Within:
     """Planes with what explains them within the tolerances, where anything does."""
 
     planes: dict[str, FittedPlane]
-    adjusted: tuple[Adjusted, ...] = ()
+    rotor: OneRotor | None = None
+    """What they hold in place of the datasheet's values; None: these."""
     doubts: tuple[str, ...] = ()
+
+    @property
+    def adjusted(self) -> tuple[Adjusted, ...]:
+        """Every value that they hold in place of the datasheet's."""
+        return () if self.rotor is None else self.rotor.adjusted
 
 
 def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Tolerances], fit: Fit) -> Within:
@@ -83,7 +89,7 @@ def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Toleranc
     ]
     if strained:
         doubts.append(f"{_in_words(strained)} from the datasheet's value: {WRONG}")
-    return Within(again, both.adjusted, tuple(doubts))
+    return Within(again, both, tuple(doubts))
 
 
 def _explain(planes: Mapping[str, FittedPlane], before: Mapping[str, FittedPlane]) -> bool:

@@ -140,11 +140,7 @@ def with_given(u: Uncertainty, refined: Refined, data: Data, covariance: Real) -
     layout, free = refined.model.layout, refined.fit.free
     _, slopes = residuals(refined.model, data, refined.weights, None)
     assert slopes is not None
-    # what is known beside the data, as of splits, tells nothing of these
-    beside = refined.fit.jacobian[len(slopes) :]
-    jacobian = np.vstack([slopes[:, free], beside])
-    with_them = np.vstack([slopes[:, layout.given], np.zeros((len(beside), len(covariance)))])
-    moved = -covariance_of(jacobian) @ (jacobian.T @ with_them)
+    moved = moved_with(slopes[:, free], slopes[:, layout.given], refined.fit.jacobian[len(slopes) :])
     across = moved @ covariance
     both = np.block([[u.covariance + across @ moved.T, across], [across.T, covariance]])
     n = len(u.from_data)
@@ -153,6 +149,21 @@ def with_given(u: Uncertainty, refined: Refined, data: Data, covariance: Real) -
     whole = free.copy()
     whole[layout.given] = True
     return replace(u, covariance=both, from_data=from_data, free=whole)
+
+
+def moved_with(free: Real, given: Real, beside: Real) -> Real:
+    """How fitted parameters move with what a fit held, (n, m), as least squares do.
+
+    Parameters
+    ----------
+    free, given
+        Slopes of the data's residuals to the former, (N, n), and to the latter, (N, m).
+    beside
+        (K, n) slopes of what is known beside the data, as of splits: it tells nothing of what is held.
+    """
+    jacobian = np.vstack([free, beside])
+    with_them = np.vstack([given, np.zeros((len(beside), given.shape[1]))])
+    return np.asarray(-covariance_of(jacobian) @ (jacobian.T @ with_them))
 
 
 def _sandwich(influence: Real, residual: Real, bands: int = 48) -> Real:

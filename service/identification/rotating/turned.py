@@ -10,12 +10,14 @@ from scipy.linalg import block_diag
 
 from service.experiment.data import Experiment, Sweep
 from service.identification.arrays import Real
+from service.identification.joint.one_rotor import OneRotor
 from service.identification.joint.selection import Selected
 from service.identification.joint.uncertainty import Uncertainty, uncertainty_of
 from service.identification.measured.sweeps import NOT_PLANT, Joined, joined_sweep, speed_of
 from service.identification.priors.split import Posterior, Split
 from service.identification.rotating.campbell import Campbell, campbell
 from service.identification.rotating.fit import RotatingFit, amplitude_of, fit_rotating, noise_of, turning
+from service.identification.rotating.held import with_held
 from service.identification.rotating.model import RotatingModel, joined, paired
 from service.identification.rotating.points import SpeedPoints, speed_points
 from service.identification.rotating.start import Begun, begun, not_modes
@@ -38,6 +40,10 @@ class Turned:
     data: tuple[SpeedPoints, ...]
     refined: RotatingFit
     uncertainty: Uncertainty
+    """With mass and sensors given: that of the loop, and of what is read back."""
+    told: Uncertainty
+    """That of the rotor's figures, with what is not known of mass and sensors where these were held within the
+    datasheet's tolerances."""
     campbell: Campbell
     rms: Real
     """(sweeps,) residual over noise."""
@@ -56,10 +62,10 @@ class Turned:
     def estimate(self, name: str, unit: str, nominal: float | None = None) -> Estimate:
         """A parameter with its uncertainty."""
         k = self.model.layout.index(name)
-        place = int(np.searchsorted(np.flatnonzero(self.uncertainty.free), k))
+        place = int(np.searchsorted(np.flatnonzero(self.told.free), k))
         std, data = (
-            float(np.sqrt(c[place, place])) if self.uncertainty.free[k] else 0.0
-            for c in (self.uncertainty.covariance, self.uncertainty.from_data)
+            float(np.sqrt(c[place, place])) if self.told.free[k] else 0.0
+            for c in (self.told.covariance, self.told.from_data)
         )
         return Estimate(float(self.model.theta[k]), std, unit, nominal, data)
 
@@ -128,7 +134,7 @@ class Turned:
             return np.array([g, 2 * h / w.sum(), w[0], w[1], *zeta])
 
         values = figures(self.model)
-        std, data = self.uncertainty.std(self.model, figures)
+        std, data = self.told.std(self.model, figures)
         units = ("", "", "rad/s", "rad/s", "", "")
         found = [
             Estimate(float(v), float(s), unit, None, float(d))
@@ -150,7 +156,11 @@ class Turned:
 
 
 def turned(
-    experiment: Experiment, datasheet: Datasheet, planes: dict[str, Selected], planes_speed_rad_s: float
+    experiment: Experiment,
+    datasheet: Datasheet,
+    planes: dict[str, Selected],
+    planes_speed_rad_s: float,
+    rotor: OneRotor | None = None,
 ) -> Turned:
     """Joint fit of the rotating model over every speed of an experiment.
 
@@ -160,6 +170,8 @@ def turned(
         Joint fits of planes "x" and "y" by themselves, from which the search starts.
     planes_speed_rad_s
         Speed at which those were measured; 0 at standstill.
+    rotor
+        What those held in place of the datasheet's mass, geometry and sensor gains.
 
     Raises
     ------
@@ -196,6 +208,7 @@ def turned(
         data,
         refined,
         u,
+        u if rotor is None else with_held(u, refined, data, rotor),
         campbell(refined.model, controller, u, fastest, top),
         _rms(refined),
         tuple(_unseen(refined.model, unseen, experiment, names)),

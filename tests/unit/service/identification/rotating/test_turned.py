@@ -204,6 +204,40 @@ def test_inertia_and_stiffness_are_recovered_with_honest_intervals(turned: Turne
             assert found.std < 0.003 * truth
 
 
+def test_deviations_allow_for_mass_and_sensors_that_are_held_within_tolerances(datasheet: Datasheet) -> None:
+    told = replace(
+        datasheet,
+        mass_kg=0.996 * datasheet.mass_kg,
+        transverse_inertia_kgm2=1.008 * datasheet.transverse_inertia_kgm2,
+        sensor_gain=(0.994, 1.004, 1.009, 0.989),
+        sensor_from_cog_m=(datasheet.sensor_from_cog_m[0] - 0.7e-3, datasheet.sensor_from_cog_m[1] + 1.1e-3),
+    )
+    sweeps = tuple(sweep_at(w, k) for k, w in enumerate(SPEEDS))
+    result = identify(Experiment("reference", told.axes, sweeps), told)
+    found, rig = result.rotating, rig_at(0.0)
+    assert found is not None
+    held = {a.name: a for a in result.adjusted}
+    stiffness = found.stiffness()
+    true = dict(zip(stiffness, [*rig.magnets.ki, *rig.magnets.ks], strict=True))
+    for name, one in stiffness.items():
+        kind, axis = name.split("_")
+        assert abs(one.value - true[name]) < 3 * one.std
+        assert one.std == pytest.approx(result.planes[axis[0]].stiffness[kind + axis[1]].std, rel=0.1)
+    for name, value in (("transverse_inertia_kgm2", datasheet.transverse_inertia_kgm2), ("centre_of_gravity_m", 0.0)):
+        one = found.estimate(name, "")
+        assert abs(one.value - value) < 3 * one.std
+        assert one.std == pytest.approx(held[name].std, rel=0.1)
+    # it is in proportion to the other inertia, and to the mass
+    polar = found.estimate("polar_inertia_kgm2", "kg m2")
+    assert abs(polar.value - POLAR) < 3 * polar.std
+    assert polar.std / polar.value == pytest.approx(held["transverse_inertia_kgm2"].std / 10.87, rel=0.1)
+    # what mass and sensors do not change is as sharp as with these given
+    given = replace(found, told=found.uncertainty)
+    for k in range(2):
+        for one, other in zip(found.pair_figures(k)[2], given.pair_figures(k)[2], strict=True):
+            assert one.std == pytest.approx(other.std, rel=0.2)
+
+
 def test_deviations_from_data_are_those_of_a_fit_that_knows_the_noise(datasheet: Datasheet, turned: Turned) -> None:
     """Few blocks tell a variance badly: taken as they are, the weights promise more than a per cent too much."""
     sweeps = tuple(sweep_at(w, 10 + k) for k, w in enumerate(SPEEDS))
