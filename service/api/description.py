@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
 
 from service.api import problems
 from service.api.resources import options
+from service.api.shapes import Shape, Wanted
 
 _TEXT = {"type": "string"}
 
@@ -39,11 +42,23 @@ def described(app: FastAPI) -> dict[str, Any]:
     schemas |= options.schemas()
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
+    for name, examples in (*_examples(Shape), *_examples(Wanted)):
+        if name in schemas:
+            schemas[name]["examples"] = examples
     for operations in found["paths"].values():
         for operation in operations.values():
             _with_headers(operation)
     app.openapi_schema = found
     return found
+
+
+def _examples(shape: type[BaseModel]) -> Iterator[tuple[str, Any]]:
+    """Examples of all shapes of a kind, as they are written: FastAPI leaves out what is null in them."""
+    for one in shape.__subclasses__():
+        extra = one.model_config.get("json_schema_extra")
+        if isinstance(extra, dict) and "examples" in extra:
+            yield one.__name__, extra["examples"]
+        yield from _examples(one)
 
 
 def _with_headers(operation: dict[str, Any]) -> None:

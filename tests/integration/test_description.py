@@ -62,6 +62,21 @@ def test_what_answers_send_is_what_is_described(client, document):
         assert name in described
 
 
+def test_examples_are_what_their_shapes_allow(document):
+    """Also what is null in them: ``{"model": null}`` chooses the newest model, and ``{}`` is refused."""
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
+    wrong, seen = {}, 0
+    for name, schema in document["components"]["schemas"].items():
+        whole = jsonschema.Draft202012Validator(schema | {"components": document["components"]})
+        for example in schema.get("examples", []):
+            seen += 1
+            if errors := [e.message for e in whole.iter_errors(example)]:
+                wrong[name] = errors
+    assert wrong == {}
+    assert seen > 20
+    assert {"model": None} in document["components"]["schemas"]["BaselineWanted"]["examples"]
+
+
 def test_options_of_a_job_are_described_with_their_ranges(document):
     schemas = document["components"]["schemas"]
     options = schemas["JobWanted"]["properties"]["options"]

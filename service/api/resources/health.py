@@ -22,31 +22,49 @@ from service.storage.tables import HealthRow
 router = APIRouter(prefix="/api/v1", tags=["health"], route_class=KeyFirst)
 
 
+_SENTENCE = "compressor 3: nothing drifted; sensitivity peak 2.01, zone A of ISO 14839-3"
+_EXAMPLE: dict[str, Any] = {
+    "id": examples.HEALTH,
+    "rig": examples.RIG,
+    "rig_version": 2,
+    "experiment": examples.EXPERIMENT,
+    "baseline_model": examples.MODEL,
+    "schedule": examples.SCHEDULE,
+    "job": examples.JOB,
+    "alarm": False,
+    "zone": "A",
+    "zone_calm": True,
+    "drifted": [],
+    "drifted_words": [],
+    "sentence": _SENTENCE,
+    "created_at": examples.TIME,
+}
+_FIGURE = {
+    "plane": "x",
+    "name": "kiA",
+    "unit": "N/A",
+    "now": {"value": 180.93, "std": 0.09},
+    "baseline": {"value": 181.0, "std": 0.02},
+    "change_percent": -0.04,
+    "change_std_percent": 0.05,
+    "drifted": False,
+}
+_DOCUMENT = {
+    "format": "amb-health-check",
+    "version": 1,
+    "rig": "compressor 3",
+    "alarm": False,
+    "drifted": [],
+    "sentence": _SENTENCE,
+    "parameters": {"x.kiA": _FIGURE},
+    "zone": "A",
+}
+
+
 class HealthShape(Shape):
     """A health check."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "id": examples.HEALTH,
-                    "rig": examples.RIG,
-                    "rig_version": 2,
-                    "experiment": examples.EXPERIMENT,
-                    "baseline_model": examples.MODEL,
-                    "schedule": examples.SCHEDULE,
-                    "job": examples.JOB,
-                    "alarm": False,
-                    "zone": "A",
-                    "zone_calm": True,
-                    "drifted": [],
-                    "drifted_words": [],
-                    "sentence": "compressor 3: nothing drifted; sensitivity peak 2.01, zone A of ISO 14839-3",
-                    "created_at": examples.TIME,
-                }
-            ]
-        }
-    )
+    model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE]})
 
     id: str
     rig: str
@@ -68,6 +86,8 @@ class HealthShape(Shape):
 
 class HealthDocument(HealthShape):
     """A health check with its whole document."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_EXAMPLE | {"document": _DOCUMENT}]})
 
     document: dict[str, Any]
     """amb-health-check: every figure now and then, with both uncertainties."""
