@@ -39,6 +39,18 @@ def experiment():
     return synthetic_experiment(synthetic_sweep(models, AXES, LAW, f, 0.05, seed=1), axes=AXES, rig="reference")
 
 
+def test_the_same_content_is_the_same_file_whenever_it_is_written(plant, experiment, tmp_path, monkeypatch):
+    """Its digest is the ETag by which a program asks whether there is anything new."""
+    written = []
+    for at in ("Mon Nov 30 10:00:00 2026", "Mon Nov 30 10:00:01 2026"):
+        monkeypatch.setattr("time.asctime", lambda *_, at=at: at)
+        (measured,) = files.write_responses(tmp_path / "r.mat", [responses.of_experiment(experiment, plane="x")["x"]])
+        model = files.write_linear(tmp_path / "m.mat", plant)
+        written.append((measured.read_bytes(), model.read_bytes()))
+    assert written[0] == written[1]
+    assert written[0][0].startswith(b"MATLAB 5.0 MAT-file")
+
+
 def test_python_control_has_the_response_of_the_identified_plant(plant):
     system = to_control(plant)
     assert isinstance(system, control.StateSpace)
