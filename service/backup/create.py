@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import func, inspect, select
 
 from service.backup import controllers, manifest, postgres, sqlite
 from service.backup.manifest import Manifest
@@ -113,10 +113,13 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
     try:
         database = Database(settings.database)
         try:
-            migrate.upgrade(database)
+            # tables of an older version stay as they are: the backup is what leads back to that version
+            revision = migrate.known_revision(database) or migrate.upgrade(database)
             say("the databases")
             kinds = _databases(settings, part)
             rows, named = _rows(database, part)
+            if migrate.revision(database) != revision:
+                raise StorageError("the database was upgraded while it was backed up; back it up once more")
             unread = controllers.copy(settings.controllers, part)
             say("the store")
             copied = _store(Blobs(settings.store), folder / manifest.STORE, named)
@@ -127,7 +130,7 @@ def _create(settings: Settings, folder: Path, say: Callable[[str], None]) -> tup
                 engine=version("dbos"),
                 database=kinds[0],
                 jobs_database=kinds[1],
-                revision=migrate.revision(database),
+                revision=revision,
                 rows=rows,
                 files={str(p.relative_to(part)): manifest.digest(p) for p in sorted(part.rglob("*")) if p.is_file()},
                 blobs=len(copied.names),
@@ -183,7 +186,9 @@ def _databases(settings: Settings, part: Path) -> tuple[str, str]:
         elif not (name == JOBS and url == own):
             with postgres.snapshot(url) as connection:
                 if name == OWN:
-                    _dump(connection, OWN_SCHEMA, [t.name for t in Base.metadata.sorted_tables], part / OWN)
+                    found = set(postgres.tables(connection, OWN_SCHEMA))
+                    names = [t.name for t in Base.metadata.sorted_tables if t.name in found]
+                    _dump(connection, OWN_SCHEMA, names, part / OWN)
                 if url == jobs:  # the same snapshot, where both are in one database
                     _dump(connection, JOBS_SCHEMA, postgres.tables(connection, JOBS_SCHEMA), part / JOBS)
     there = (part / JOBS).exists() or (part / f"{JOBS}.db").exists()
@@ -202,11 +207,13 @@ def _rows(database: Database, part: Path) -> tuple[dict[str, int], set[str]]:
     rows: dict[str, int] = {}
     named: set[str] = set()
     try:
+        there = inspect(source.engine)  # one of an older version may not have everything
         with source.read() as session:
-            for table in Base.metadata.sorted_tables:
+            for table in (t for t in Base.metadata.sorted_tables if there.has_table(t.name)):
                 rows[table.name] = session.scalar(select(func.count()).select_from(table)) or 0
+                names = {column["name"] for column in there.get_columns(table.name)}
                 for column in table.columns:
-                    if column.name.endswith("_sha256") and table.name != "idempotency":
+                    if column.name in names and column.name.endswith("_sha256") and table.name != "idempotency":
                         named |= {value for value in session.scalars(select(column)) if value}
     finally:
         if source is not database:

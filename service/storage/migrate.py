@@ -6,6 +6,8 @@ fifth of the time in which they start.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,6 +56,18 @@ def _found(connection: Connection) -> str:
     return str(connection.execute(text("SELECT version_num FROM alembic_version")).scalar() or "")
 
 
+def known_revision(database: Database) -> str:
+    """Revision of the tables, which stay as they are; empty where there are none.
+
+    Raises
+    ------
+    StorageError
+        The tables are of a newer version of the product, or the database does not answer.
+    """
+    with _answering():
+        return _checked(revision(database))
+
+
 def upgrade(database: Database, to: str = "head") -> str:
     """Upgrade the tables; the revision that they then have. Several processes may call it at once.
 
@@ -62,11 +76,26 @@ def upgrade(database: Database, to: str = "head") -> str:
     StorageError
         The tables are of a newer version of the product, or the database does not answer.
     """
-    try:
+    with _answering():
         return _upgraded(database, to)
+
+
+@contextmanager
+def _answering() -> Iterator[None]:
+    try:
+        yield
     except OperationalError as error:
         reason = " ".join(str(error.orig).split())
         raise StorageError(f"the database does not answer: {reason}; start it, or correct database_url") from error
+
+
+def _checked(found: str) -> str:
+    if found and found not in _known():
+        raise StorageError(
+            f"the database has revision {found}, which this version of the product does not know; "
+            "install the newer version, or restore the backup that was made before the upgrade"
+        )
+    return found
 
 
 def _upgraded(database: Database, to: str) -> str:
@@ -79,11 +108,6 @@ def _upgraded(database: Database, to: str) -> str:
         with immediate.begin():
             if not database.is_sqlite:
                 immediate.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
-            found = _found(immediate)
-            if found and found not in _known():
-                raise StorageError(
-                    f"the database has revision {found}, which this version of the product does not know; "
-                    "install the newer version, or restore the backup that was made before the upgrade"
-                )
+            _checked(_found(immediate))
             command.upgrade(_config(immediate), to)
     return revision(database)

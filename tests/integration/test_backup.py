@@ -30,6 +30,9 @@ from tests.support import command
 from tests.support.command import wait_until
 from tests.support.service_state import lived_in
 
+OLDER = "0003"
+"""A revision of our own tables before the newest."""
+
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.pg)])
 def settings(request, tmp_path):
@@ -93,6 +96,32 @@ def test_a_service_comes_back_as_it_was(settings, tmp_path):
         assert rules.verify(made["key"], key_rows.record(row), now()).name == "laptop"
     database.close()
     assert engine_states(new) == ["CANCELLED", "CANCELLED"]
+
+
+def test_a_backup_before_an_upgrade_leads_back_to_the_version_before(settings, tmp_path):
+    """Tables of an older version stay as they are, in the service and in its backup."""
+    old, new = settings("old"), settings("new")
+    old.home.mkdir(exist_ok=True)
+    database = Database(old.database)
+    migrate.upgrade(database, OLDER)
+    with database.write() as session:
+        session.execute(
+            text("INSERT INTO rigs (id, name, version, created_at, updated_at) VALUES ('rig_1', 'b', 1, :at, :at)"),
+            {"at": now()},
+        )
+    path, written = create(old, tmp_path / "backups")
+    assert (migrate.revision(database), written.revision, written.rows["rigs"]) == (OLDER, OLDER, 1)
+    database.close()
+    if settings.kind == "sqlite":  # what the older version finds once its backup is restored
+        with closing(sqlite3.connect(path / "ambit.db")) as copy:
+            assert copy.execute("SELECT version_num FROM alembic_version").fetchall() == [(OLDER,)]
+
+    restore(new, path)
+    database = Database(new.database)
+    assert migrate.revision(database) == migrate.head()
+    with database.read() as session:
+        assert session.get(Rig, "rig_1").name == "b"
+    database.close()
 
 
 def test_jobs_go_on_only_when_asked_for(settings, tmp_path):
