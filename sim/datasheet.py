@@ -72,6 +72,10 @@ class Tolerance:
     sensor_position_m: float = 0.001
 
 
+ASSUMED = "the datasheet states no tolerances: this product's defaults are assumed"
+"""What to tell wherever tolerances decide."""
+
+
 @dataclass(frozen=True)
 class Datasheet:
     """What is known of a rig before it is measured. Tuples have one value per axis unless said otherwise."""

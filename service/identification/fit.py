@@ -28,7 +28,7 @@ from service.identification.result.commissioning import CommissioningResult, Pla
 from service.identification.rotating.turned import turned
 from service.identification.within_tolerances import Within, within_tolerances
 from sim.chain import Chain
-from sim.datasheet import Datasheet
+from sim.datasheet import ASSUMED, Datasheet
 from sim.errors import AmbError
 from sim.folded import Folded, folded
 from sim.twin import rig_from_datasheet
@@ -179,7 +179,8 @@ def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> Within:
     told = {plane: Tolerances.of_given(p.datasheet, f.data.plant.axes) for plane, f in settled.items()}
     within = within_tolerances(settled, told, again)
     planes = alike(within.planes) if within.adjusted else within.planes
-    return replace(within, planes=planes, doubts=(*doubts, *within.doubts))
+    assumed = [ASSUMED] if within.doubts and not p.datasheet.tolerance_stated else []
+    return replace(within, planes=planes, doubts=(*doubts, *within.doubts, *assumed))
 
 
 def _results(p: _Prepared, fitted: Mapping[str, FittedPlane], say: Progress) -> dict[str, PlaneResult]:

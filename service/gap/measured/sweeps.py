@@ -13,7 +13,7 @@ from service.gap.measured.condition import conditions_of
 from service.gap.measured.observation import GapError, Observation, observe, usable
 from service.identification.measured.block_length import block_samples
 from service.identification.measured.sweeps import speed_of
-from sim.datasheet import Datasheet
+from sim.datasheet import ASSUMED, Datasheet
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 from sim.wording import in_words
@@ -245,7 +245,7 @@ def notes_on(main: Sweep, checked: bool, datasheet: Datasheet) -> list[str]:
         names = ", ".join(map(in_words, across))
         notes.append(f"two axes only: effects that couple x and y cannot be seen ({names}); one may look like another")
     if not datasheet.tolerance_stated:
-        notes.append("the datasheet states no tolerances: this product's defaults are assumed")
+        notes.append(ASSUMED)
     return notes
 
 

@@ -18,7 +18,7 @@ from service.identification.plane_fit import FittedPlane, settled_alike
 from service.identification.result.commissioning import CommissioningResult
 from service.identification.result.saved import saved_planes
 from service.report.commissioning import commissioning_page
-from sim.datasheet import Datasheet
+from sim.datasheet import ASSUMED, Datasheet
 from tests.support.planes import synthetic_experiment, synthetic_sweep
 
 OFF = {
@@ -82,6 +82,14 @@ def test_such_a_rig_behaves_as_its_model(off_result: CommissioningResult) -> Non
         assert plane.cross_validation_fit_percent is not None
         assert plane.cross_validation_fit_percent.min() > 99.5
     assert any("the planes are identified with these" in w for w in off_result.warnings)
+
+
+def test_tolerances_that_nobody_stated_are_told_as_assumed(
+    off_result: CommissioningResult, result: CommissioningResult
+) -> None:
+    """What is known of ki then hangs on them; where the datasheet's values explain the data nothing does."""
+    assert ASSUMED in off_result.warnings
+    assert ASSUMED not in result.warnings
 
 
 def test_what_rang_in_one_plane_is_looked_for_in_all_with_other_values_too(
@@ -175,7 +183,9 @@ def test_what_no_geometry_explains_leaves_the_datasheets(
 
 def test_a_value_far_off_is_told(truth: dict[str, PlaneModel], datasheet: Datasheet, controller) -> None:
     """A sensor that sits 6 mm from where the drawing has it."""
-    found = identify(measured(other(truth, {"sensor_shift_A_m": 6e-3}), datasheet, controller), datasheet)
+    stated = replace(datasheet, tolerance_stated=True)
+    found = identify(measured(other(truth, {"sensor_shift_A_m": 6e-3}), datasheet, controller), stated)
+    assert ASSUMED not in found.warnings
     (told,) = [w for w in found.warnings if "rather wrong than loose" in w]
     assert told.startswith("sensor position A by +")
     (held,) = [a for a in found.adjusted if a.name == "sensor_shift_A_m"]
