@@ -214,6 +214,7 @@ class Worker:
                 if job is None or (job.ended_at is not None and now() - job.ended_at > KEPT):
                     jobs.drop_journal(session, folder.name)
                     shutil.rmtree(folder, ignore_errors=True)
+        self.context.blobs.tidy(PASSING)
 
     def _end(self) -> None:
         """Leave: rigs are stopped by their steps, which see `stopping`; then nothing is excited any more."""

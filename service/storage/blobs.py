@@ -12,6 +12,8 @@ import shutil
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +21,8 @@ from service.errors import NotFoundError, StorageError
 from service.storage.remote import answering, opened
 
 CHUNK = 1 << 20
+INCOMING = "incoming"
+"""Folder of files that are being written."""
 _CACHED_BYTES = 64 << 20
 _LARGEST_CACHED = 8 << 20
 _BUCKET = "make the bucket, or correct store_url"
@@ -75,7 +79,7 @@ class Blobs:
 
     def _keep(self, sha256: str, write: Any) -> None:
         target = self._path(sha256)
-        temporary = f"{self._root}/incoming/{sha256}.{secrets.token_hex(4)}"
+        temporary = f"{self._root}/{INCOMING}/{sha256}.{secrets.token_hex(4)}"
         with answering("write to", self._local):
             if self._fs.exists(target):
                 return
@@ -90,6 +94,23 @@ class Blobs:
                 self._fs.mv(temporary, target)
             except FileNotFoundError as error:
                 raise StorageError(f"cannot write to the store: {self._root} is not there; {_BUCKET}") from error
+            except Exception:
+                if self._local:  # a disk that is full must not stay full of what did not fit
+                    with suppress(OSError):
+                        self._fs.rm(temporary)
+                raise
+
+    def tidy(self, after: timedelta) -> None:
+        """Remove what writers left that were killed: parts so old that nobody writes them any more."""
+        with answering("tidy", self._local):
+            try:
+                found = self._fs.find(f"{self._root}/{INCOMING}")
+            except FileNotFoundError:
+                return
+            for path in found:
+                with suppress(FileNotFoundError):  # it has just got its name, or another worker tidies, too
+                    if datetime.now(UTC) - self._fs.modified(path) > after:
+                        self._fs.rm(path)
 
     def _make_folder(self, path: str) -> None:
         """Where there are folders. A bucket is never made: a misspelt one would be."""

@@ -3,6 +3,7 @@
 import hashlib
 import os
 from contextlib import contextmanager
+from datetime import timedelta
 
 import httpx
 import pytest
@@ -102,6 +103,18 @@ def test_a_damaged_file_is_not_given_out_and_a_restore_repairs_it(server, url, t
     (tmp_path / "whole").write_bytes(b"content")
     blobs.put_file(tmp_path / "whole", repair=True)
     assert blobs.read(sha256) == b"content"
+
+
+def test_what_a_killed_writer_left_goes(server, url):
+    blobs = Blobs(url)
+    blobs.tidy(timedelta(days=1))
+    kept = blobs.put(b"content")
+    server.overwrite(f"{url}/incoming/{kept}.0123", b"cont")
+    blobs.tidy(timedelta(days=1))
+    assert len(s3fs.S3FileSystem(use_listings_cache=False).ls(f"{url}/incoming")) == 1
+    blobs.tidy(timedelta(0))
+    assert s3fs.S3FileSystem(use_listings_cache=False).find(f"{url}/incoming") == []
+    assert list(blobs.names()) == [kept]
 
 
 def test_a_bucket_that_is_missing_is_told_and_never_made(server, url):

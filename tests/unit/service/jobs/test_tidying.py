@@ -16,11 +16,14 @@ def test_uploads_and_exports_of_a_killed_process_are_removed_and_those_under_way
     for folder in (*left, under_way):
         folder.mkdir(parents=True)
         (folder / "received.h5").write_bytes(b"half a file")
+    part = tmp_path / "store" / "incoming" / "a.1"
+    part.parent.mkdir(parents=True)
+    part.write_bytes(b"half a file")
     killed = time.time() - 86_460.0
-    for folder in left:
+    for folder in (*left, part):
         os.utime(folder, (killed, killed))
     try:
         worker._tidy()
     finally:
         worker.context.database.close()
-    assert [folder.exists() for folder in (*left, under_way)] == [False, False, True]
+    assert [path.exists() for path in (*left, part, under_way)] == [False, False, False, True]

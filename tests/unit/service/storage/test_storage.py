@@ -1,7 +1,10 @@
 """Tables, files, workers' names and rigs' versions."""
 
+import errno
 import hashlib
+import os
 import threading
+import time
 from datetime import timedelta
 
 import pytest
@@ -162,6 +165,33 @@ def test_files_are_named_by_their_content(tmp_path):
     assert not list((tmp_path / "store" / "incoming").iterdir())
     with pytest.raises(NotFoundError, match="backup"):
         blobs.read("0" * 64)
+
+
+def test_what_does_not_fit_leaves_nothing_on_the_disk(tmp_path, monkeypatch):
+    blobs = Blobs(str(tmp_path / "store"))
+    (tmp_path / "file").write_bytes(b"x" * 1000)
+
+    def half(path, target):
+        target.write(b"x" * 500)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("service.storage.blobs._copy", half)
+    with pytest.raises(StorageError, match="free space"):
+        blobs.put_file(tmp_path / "file")
+    assert [p for p in (tmp_path / "store").rglob("*") if p.is_file()] == []
+
+
+def test_what_a_killed_writer_left_goes_and_what_is_being_written_stays(tmp_path):
+    blobs = Blobs(str(tmp_path / "store"))
+    blobs.tidy(timedelta(days=1))  # nothing was ever kept
+    kept = blobs.put(b"content")
+    left, under_way = (tmp_path / "store" / "incoming" / name for name in ("a.1", "b.2"))
+    for path in (left, under_way):
+        path.write_bytes(b"half a file")
+    killed = time.time() - 86_460.0
+    os.utime(left, (killed, killed))
+    blobs.tidy(timedelta(days=1))
+    assert (left.exists(), under_way.exists(), blobs.read(kept)) == (False, True, b"content")
 
 
 def test_any_fsspec_url_will_do():
