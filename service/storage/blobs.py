@@ -67,8 +67,8 @@ class Blobs:
 
     def _is_whole(self, sha256: str) -> bool:
         digest = hashlib.sha256()
-        for chunk in self.chunks(sha256):
-            digest.update(chunk)
+        for piece in self._pieces(sha256):
+            digest.update(piece)
         return digest.hexdigest() == sha256
 
     def put(self, content: bytes) -> str:
@@ -189,7 +189,21 @@ class Blobs:
         ------
         NotFoundError
             It is not there.
+        StorageError
+            It is damaged, which is known at its end, before the last piece; or the store does not answer.
         """
+        digest, held = hashlib.sha256(), b""
+        for piece in self._pieces(sha256):
+            digest.update(piece)
+            if held:
+                yield held
+            held = piece
+        if digest.hexdigest() != sha256:
+            raise _damaged(sha256)
+        if held:
+            yield held
+
+    def _pieces(self, sha256: str) -> Iterator[bytes]:
         try:
             with answering("read from", self._local):
                 file = self._fs.open(self._path(sha256), "rb")
@@ -207,14 +221,10 @@ class Blobs:
         """Copy a content into a file of this machine; `StorageError` when it is not what its name says."""
         temporary = to.with_name(f".{to.name}.{secrets.token_hex(4)}")
         to.parent.mkdir(parents=True, exist_ok=True)
-        digest = hashlib.sha256()
         try:
             with temporary.open("wb") as target:
                 for chunk in self.chunks(sha256):
-                    digest.update(chunk)
                     target.write(chunk)
-            if digest.hexdigest() != sha256:
-                raise _damaged(sha256)
             os.replace(temporary, to)
         finally:
             temporary.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -276,10 +277,10 @@ def get_experiment_file(
     headers = {"ETag": etags.quoted(row.file_sha256), "Cache-Control": etags.REVALIDATE}
     if etags.matches(if_none_match, row.file_sha256):
         return Response(status_code=304, headers=headers)
-    api.blobs.size(row.file_sha256)  # a file that is gone is told before the answer begins
     content: Iterator[bytes] = api.blobs.chunks(row.file_sha256)
+    first = next(content, b"")  # a file that is gone, or a small one that is damaged, is told before the answer begins
     headers |= {
         "Content-Disposition": 'attachment; filename="experiment.h5"',
         "Content-Length": str(api.blobs.size(row.file_sha256)),
     }
-    return StreamingResponse(content, 200, headers, media_type=row.media_type)
+    return StreamingResponse(chain([first], content), 200, headers, media_type=row.media_type)

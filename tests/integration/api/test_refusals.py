@@ -136,6 +136,18 @@ def test_requests_that_are_no_requests(api):
     assert_problem(api.get("/jobs", params={"after": "';--"}), 422, "after")
 
 
+def test_a_damaged_file_of_an_experiment_is_not_sent_as_that_experiment(api, service, rig, tmp_path):
+    content = good(tmp_path / "e.h5").read_bytes()
+    headers = {"content-type": "application/x-hdf5"}
+    kept = api.post(f"/rigs/{rig}/experiments", content=content, headers=headers).json()
+    file = service.services.settings.home / "store" / kept["file_sha256"][:2] / kept["file_sha256"]
+    raw = bytearray(file.read_bytes())
+    raw[len(raw) // 2] ^= 1
+    file.write_bytes(raw)
+    answer = api.get(f"/experiments/{kept['id']}/file")
+    assert_problem(answer, 503, "damaged; restore it from the backup")
+
+
 def test_an_upload_in_another_unit_is_refused_as_a_job_on_it_would_be(api, rig, tmp_path):
     path = good(tmp_path / "e.h5")
     headers = {"content-type": "application/x-hdf5"}

@@ -167,6 +167,24 @@ def test_files_are_named_by_their_content(tmp_path):
         blobs.read("0" * 64)
 
 
+def test_a_damaged_file_is_given_to_nobody_whole(tmp_path):
+    blobs = Blobs(str(tmp_path / "store"))
+    content = b"x" * 3_000_000
+    sha256 = blobs.put(content)
+    with (tmp_path / "store" / sha256[:2] / sha256).open("r+b") as file:
+        file.seek(10)
+        file.write(b"y")
+    got = []
+    with pytest.raises(StorageError, match="damaged; restore it"):
+        got.extend(blobs.chunks(sha256))
+    assert sum(map(len, got)) < len(content)
+    with pytest.raises(StorageError, match="damaged"):
+        blobs.fetch(sha256, tmp_path / "copy")
+    (tmp_path / "whole").write_bytes(content)
+    blobs.put_file(tmp_path / "whole", repair=True)
+    assert b"".join(blobs.chunks(sha256)) == content
+
+
 def test_what_does_not_fit_leaves_nothing_on_the_disk(tmp_path, monkeypatch):
     blobs = Blobs(str(tmp_path / "store"))
     (tmp_path / "file").write_bytes(b"x" * 1000)
