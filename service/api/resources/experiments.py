@@ -186,7 +186,7 @@ def _keep(
         with api.database.write() as session:
             audit(session, request, who, Action.upload_refused, rig_id, rig=rig_id, reason=str(error)[:500])
         raise
-    kept = api.blobs.put_file(parsed.file)
+    kept = api.blobs.put_file(parsed.file, repair=True)  # sent again, perhaps, because the store's is damaged
 
     def make(session: Session) -> Answer:
         row = _row(session, rig_id, who.name, parsed, kept, name)

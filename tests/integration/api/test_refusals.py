@@ -147,6 +147,12 @@ def test_a_damaged_file_of_an_experiment_is_not_sent_as_that_experiment(api, ser
     answer = api.get(f"/experiments/{kept['id']}/file")
     assert_problem(answer, 503, "damaged; restore it from the backup")
 
+    again = api.post(f"/rigs/{rig}/experiments", content=content, headers=headers).json()
+    assert again["file_sha256"] == kept["file_sha256"]
+    for one in (kept, again):  # whoever still has the file brings both back
+        answer = api.get(f"/experiments/{one['id']}/file")
+        assert (answer.status_code, len(answer.content)) == (200, kept["file_bytes"])
+
 
 def test_an_upload_in_another_unit_is_refused_as_a_job_on_it_would_be(api, rig, tmp_path):
     path = good(tmp_path / "e.h5")
