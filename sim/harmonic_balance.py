@@ -176,16 +176,11 @@ class Responder:
             bearing = bearing - self._rigid_bearing_per_sensor() @ sensed
         currents, means = self._effective_currents(self._at_points(m.flux_per_u, U)), self._means(seen)
 
-        def force_at(x: Complex) -> Complex:
-            if means is not None:
-                x[:, 0] = means
-            return self._beyond_linear(currents, x)
-
-        force = force_at(x_linear.copy())
+        force = self._beyond_linear(currents, x_linear, means)
         for _ in range((rounds or self._rounds(seen is not None)) - 1):
             if fed is not None:
                 currents = self._effective_currents(self._at_points(m.flux_per_u, U + self._at_points(fed, force)))
-            force = force_at(x_linear + self._at_points(bearing, force))
+            force = self._beyond_linear(currents, x_linear + self._at_points(bearing, force), means)
         return self._static_real(Y_linear + self._at_points(sensed, force))[:, self._known]
 
     def _rounds(self, seen: bool) -> int:
@@ -256,8 +251,13 @@ class Responder:
         i_t = period_samples(flux, self.harmonics, n_time) + self._point.current_a
         return i_t, None if m.hysteresis_displacement_share else magnetic_force.effective(m, i_t)
 
-    def _beyond_linear(self, currents: tuple[Array, Array | None], x: Complex) -> Complex:
-        """Bearing force on the rotor beyond the linear one, (P, H, n), of `_effective_currents` at displacements x."""
+    def _beyond_linear(self, currents: tuple[Array, Array | None], x: Complex, means: Complex | None) -> Complex:
+        """Bearing force on the rotor beyond the linear one, (P, H, n), of `_effective_currents` at displacements x.
+
+        The stops meet the measured ``means`` of the displacement, where they are given, and nothing else does: the
+        magnets of a rig with stops answer to the noise of a mean as those of one without, or stops that touch nowhere
+        would make a better twin.
+        """
         i_t, effective = currents
         passed = None if self.progress is None else self.progress[:, None, None]
         x_t = period_samples(x, self.harmonics, i_t.shape[1])
@@ -265,7 +265,8 @@ class Responder:
             m = self.rig.magnets
             beside = magnetic_force.played_per_displacement(m, self._point) * x_t
             effective = magnetic_force.effective(m, i_t, beside_t=beside)
-        excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed)
+        at_stops = None if means is None else x_t + (means - x[:, 0]).real[:, None]
+        excess = magnetic_force.beyond_linear(self.rig, self._point, i_t, effective, x_t, passed, at_stops)
         return amplitudes(excess, self.harmonics)
 
     def _current(self, U: Complex, seen: Complex | None = None) -> tuple[Complex, Complex]:

@@ -68,7 +68,13 @@ def effective(m: Magnets, i_t: Array, many_turns: bool = False, beside_t: Array 
 
 
 def beyond_linear(
-    rig: Rig, point: OperatingPoint, i_t: Array, effective_t: Array, x_t: Array, passed: Array | None = None
+    rig: Rig,
+    point: OperatingPoint,
+    i_t: Array,
+    effective_t: Array,
+    x_t: Array,
+    passed: Array | None = None,
+    at_stops_t: Array | None = None,
 ) -> Array:
     """Bearing force beyond ki i + ks x and the static load, on the rotor, N, (P, T, n).
 
@@ -80,6 +86,8 @@ def beyond_linear(
         (P, T, n) displacement at the bearings, m.
     passed
         Share of the campaign at which each was measured, (P, 1, 1), for rigs that drift.
+    at_stops_t
+        (P, T, n) displacement by which the rotor touches its stops, m, where that is not ``x_t``.
     """
     n, points = rig.n_axes, x_t.shape[0]
     drifted = np.stack([np.ones((n, points)), np.zeros((n, points))])
@@ -95,5 +103,6 @@ def beyond_linear(
     if np.any(point.load_n):
         excess = excess + point.load_n
     if rig.contact:
-        excess = excess + actuator.stop_force(actuator.stop_rows(rig.contact, n, rig.n_planes), x_t)
+        stops = actuator.stop_rows(rig.contact, n, rig.n_planes)
+        excess = excess + actuator.stop_force(stops, x_t if at_stops_t is None else at_stops_t)
     return np.asarray(excess)

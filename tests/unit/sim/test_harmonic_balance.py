@@ -112,6 +112,24 @@ def test_a_wall_stiffer_than_the_magnets_is_touched_where_the_measured_rotor_tou
     assert np.abs(found[0, 1:] - y[0, 1:]).max() < 0.2 * np.abs(unbent - y[0, 1]).max()
 
 
+def test_stops_that_are_never_touched_change_nothing():
+    drifting = effect("thermal_drift").on(QUIET, ki_change=-0.1, ks_change=-0.1)
+    stops = effect("touchdown_contact").on(drifting, **{f"clearance_{axis}_m": 2e-4 for axis in QUIET.axes})
+    frequency_hz, line = time_points(FREQUENCY_HZ)
+    R = np.zeros((3, 4, 4), dtype=complex)
+    R[:, 1, 1] = AMPLITUDE_A
+    progress = np.array([0.2, 0.5, 1.0])
+    U, answer = respond_to_excitation(Responder(drifting, frequency_hz, line, progress=progress), R)
+    U[:, 0] += [[1e-5], [-2e-5], [3e-5]]  # the mean of a current is noisier than that of the displacement
+
+    found, expected = (
+        Responder(rig, frequency_hz, line, progress=progress).displacement(U, seen=answer.Y)
+        for rig in (stops, drifting)
+    )
+
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-18)
+
+
 def test_a_drifting_rig_answers_as_of_the_time_of_each_point():
     drifting = effect("thermal_drift").on(QUIET, ki_change=-0.2, ks_change=0.0)
     end = replace(QUIET, magnets=replace(QUIET.magnets, ki=0.8 * QUIET.magnets.ki, ks=QUIET.magnets.ks))
