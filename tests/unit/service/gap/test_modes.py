@@ -58,6 +58,16 @@ def test_what_moves_bearings_and_sensors_as_a_support_is_no_mode_of_a_lopsided_r
     assert [float(f) for f in re.findall(r"([\d.]+) Hz", left)] == pytest.approx(left_hz, rel=2e-3)
 
 
+def test_what_hardly_moves_the_rotor_is_no_mode_of_it() -> None:
+    first = TRUTH.modes[0]
+    rim = {"frequency_hz": first.frequency_hz, "damping_ratio": first.damping_ratio, "plane_frequency_ratio": 1.0}
+    rim |= {f"{at}_per_sqrt_kg": 0.15 / np.sqrt(TRUTH.mass_kg) for at in ("bearing_A", "bearing_B", "sensor_A")}
+    rim["sensor_B_per_sqrt_kg"] = -0.08 / np.sqrt(TRUTH.mass_kg)
+    modes_hz, note = shown_by(replace(TRUTH, modes=(), effects=(("extra_flexible_mode", tuple(rim.items())),)))
+    assert modes_hz == []
+    assert f"{first.frequency_hz:.1f} Hz moves the rotor too little" in note
+
+
 def test_a_rotor_that_is_even_itself_may_have_such_a_mode() -> None:
     first, second = TRUTH.modes
     even = (
