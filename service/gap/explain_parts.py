@@ -16,7 +16,7 @@ from service.gap.progress import Progress
 from service.gap.weighing.another_rig import hopeless
 from service.gap.weighing.significance import OUTLIER, SIGNIFICANT, alone_hz, mean_power, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, VISIBLE_J, rejected
-from service.gap.which.explained import Explained
+from service.gap.which.explained import Explained, relative_size
 from service.gap.which.held_out import held_out, on_sweep
 from sim.effects import CATALOGUE
 
@@ -26,6 +26,10 @@ CHI_SQUARE_BEYOND_CHANCE = 36.0
 """Chi-square that a prediction must take off unseen data. Without the effect, a predicted change of x standard
 deviations takes off 2 n x - x^2, where noise has n standard deviations along it: n would have to be 6 or more, for any
 x."""
+
+FAR_LARGER = 5.0
+"""Ratio of a part's relative gaps, other sweep over main one, from which the other one is explained for its own sake,
+though the main one rejects every explanation."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
     of_main = Found(tuple(main.explained), main.fault, data.unseen, data.name, _left_out(main))
     if data.lines_only or main.fault:
         return of_main
-    undecided = [e for e in main.explained if not _decided(e)]
+    undecided = [e for e in main.explained if not _decided(e) or is_of_other_sweep(e, data.unseen)]
     failing = {e.part.path: e for e in undecided if _fails_on(e, data.unseen)}
     failing_line_hz = {e.part.path: hz for e in undecided if (hz := _fails_alone_hz(e, data.unseen))}
     if not failing and not failing_line_hz:
@@ -62,7 +66,9 @@ def explain_parts(data: Observed, fitter: Fitter, progress: Progress) -> Found:
     known = {e.part.path: e for e in main.explained if e.part.path not in failing}
     both = PartsInTurn(fitter, data, (data.o, to_fit), before=failing)
     both.explain_all(progress, (PERCENT_ONE_SWEEP, PERCENT_FITTED), known)
-    note = "the twin fits the main sweep but not the other: half of the other's lines were fitted too"
+    fits = all(e.part.path not in failing or not _decided(e) for e in main.explained)
+    why = "the twin fits the main sweep but not the other" if fits else "the gap is far larger on the other sweep"
+    note = f"{why}: half of the other's lines were fitted too"
     return Found(tuple(both.explained), both.fault, unseen, name, (*_left_out(both), note))
 
 
@@ -79,6 +85,16 @@ def _left_out(found: PartsInTurn) -> tuple[str, ...]:
 def _decided(e: Explained) -> bool:
     """Whether more data would not help: the main sweep rejects its best explanation, or is of another rig."""
     return rejected(e.order[0], e.remaining) or hopeless(e.ground, (r.candidate.fit for r in e.order))
+
+
+def is_of_other_sweep(e: Explained, unseen: Observation) -> bool:
+    """Whether the part's gap is so much larger on the other sweep that what the main one shows is another matter.
+
+    A supply's limit may show on the louder sweep alone, beside a law of the amplifiers that is off a little on both.
+    """
+    o, z = on_sweep(e, e.null.candidate, unseen)
+    there, here = (relative_size(*sweep, e.part.signal) for sweep in ((z, o), (e.plain[0], e.ground.observations[0])))
+    return significance(z, o) > SIGNIFICANT and there > FAR_LARGER * here
 
 
 def _fails_on(e: Explained, unseen: Observation) -> bool:

@@ -63,17 +63,20 @@ class Explained:
     @property
     def relative_gap(self) -> float:
         """||measured - plain twin|| / ||measured|| of the part's output, fundamental, the largest of the sweeps."""
-        shares = []
-        for z, o in zip(self.plain, self.ground.observations, strict=True):
-            w, f = weight(o, self.part.signal), o.fundamental
-            size = float(np.linalg.norm(measured_signal(o, self.part.signal)[:, f]))
-            shares.append(np.linalg.norm(z[:, f] / np.maximum(w[:, f], TINY_WEIGHT)) / max(size, TINY_SIGNAL))
-        return float(max(shares))
+        sweeps = zip(self.plain, self.ground.observations, strict=True)
+        return max(relative_size(z, o, self.part.signal) for z, o in sweeps)
 
     @property
     def remaining(self) -> float:
         """Significance of the best explanation's residuals, a normal deviate."""
         return max(significance(z, o) for z, o in zip(self.left, self.ground.observations, strict=True))
+
+
+def relative_size(z: Complex, o: Observation, signal: str) -> float:
+    """||residual|| / ||measured|| of a part's output, fundamental; ``z`` are weighted residuals, (P, H, n)."""
+    w, f = weight(o, signal), o.fundamental
+    size = float(np.linalg.norm(measured_signal(o, signal)[:, f]))
+    return float(np.linalg.norm(z[:, f] / np.maximum(w[:, f], TINY_WEIGHT))) / max(size, TINY_SIGNAL)
 
 
 def gap_significance(plain: Sequence[Complex], observations: Sequence[Observation]) -> float:

@@ -1,11 +1,12 @@
-"""What the main sweep hardly shows, but explains the other one: half of that one's lines are fitted too."""
+"""What the main sweep hardly shows, or not at all, but explains the other one: half of its lines are fitted too."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from service.gap.explain_parts import shown_by_other_sweep
+from service.experiment.data import Sweep
+from service.gap.explain_parts import is_of_other_sweep, shown_by_other_sweep
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.nuisance import nuisance
 from service.gap.fitting.part import Ground, Values, parts
@@ -58,3 +59,30 @@ def test_a_saturation_that_no_band_of_either_sweep_shows_is_told_by_the_louder_o
 )
 def test_nothing_is_told(effects: dict[str, Values], alternative: tuple[str, Values]) -> None:
     assert not shown_by_other_sweep(*seen_with(effects, alternative))
+
+
+@pytest.mark.parametrize(("limit_a_per_s", "is_there"), [(400.0, True), (1e6, False)])
+def test_a_limit_of_the_louder_sweep_is_looked_for_though_nothing_explains_the_main_one(
+    limit_a_per_s: float, is_there: bool
+) -> None:
+    datasheet, truth = known_datasheet(seed=16)
+    limit = {"amplifier_voltage_limit": {"slew_inverse_s_per_a": 1 / limit_a_per_s}}
+    quiet, loud = (experiment(with_effects(true_rig(truth), limit), amplitude_a=a) for a in (QUIET_A, LOUD_A))
+    sweeps = tuple(map(with_mutual_inductance, (quiet.sweeps[0], loud.sweeps[1])))
+    measured, datasheet = one_plane(replace(quiet, sweeps=sweeps), datasheet)
+    nu = nuisance(datasheet)
+    main, other = (observe(s, nu.rig) for s in measured.sweeps)
+    part = next(p for p in parts(nu, (main,)) if p.path == "amplifier")
+    ground = Ground(nu, part, (main,), np.zeros(len(nu)))
+    with Fitter(1) as fitter:
+        null, left = plain_twin(fitter, ground)
+    e = Explained(ground, tuple(ranked(null, [])), left, left)
+    assert e.significance > SIGNIFICANT
+    assert is_of_other_sweep(e, other) == is_there
+
+
+def with_mutual_inductance(s: Sweep) -> Sweep:
+    """Currents in which each bearing of a plane hears how fast the other's changes: no effect of the catalogue."""
+    assert s.I is not None
+    omega = 2 * np.pi * s.frequency_hz[:, None, None, None] * np.array(s.harmonics)[:, None]
+    return replace(s, I=s.I + 3e-6j * omega * s.I[..., [1, 0, 3, 2]])
