@@ -10,3 +10,12 @@ def in_words(name: str) -> str:
     'loop delay + sensor lag'
     """
     return name.replace("_", " ").replace("+", " + ")
+
+
+def times(ratio: float) -> str:
+    """How many times as large something is, to two digits and without an exponent.
+
+    >>> times(1.337), times(12.34), times(2498.7)
+    ('1.3', '12', '2499')
+    """
+    return f"{ratio:.2g}" if abs(ratio) < 99.5 else f"{ratio:.0f}"

@@ -22,6 +22,7 @@ from service.identification.plane_fit import FittedPlane
 from service.identification.priors.given import Adjusted, Given
 from service.identification.priors.tolerances import STRAINED, Tolerances
 from sim.errors import AmbError
+from sim.wording import times
 
 SHOWN = 4
 """Values that are told in words, the farthest off."""
@@ -78,7 +79,7 @@ def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Toleranc
     if not _explain(again, found):
         return Within(found)
     before, after = (np.sqrt(_power(planes)) for planes in (found, again))
-    fall = f"residuals fall from {before:.2g} to {after:.2g} times the noise with"
+    fall = f"residuals fall from {times(before)} to {times(after)} times the noise with"
     off = sorted(both.adjusted, key=lambda a: -abs(a.off))
     strained = [a for a in off if abs(a.off) > STRAINED]
     if strained and abs(strained[0].off) > FARTHEST:

@@ -20,7 +20,7 @@ from service.report.plane import plane_section
 from service.report.rotating import rotating_section
 from sim.datasheet import Datasheet, calm_zones, source_of
 from sim.folded import folded
-from sim.wording import in_words
+from sim.wording import in_words, times
 
 GOOD_PERCENT = 90.0
 """NRMSE above which a model is called good."""
@@ -83,7 +83,7 @@ def verdict(result: CommissioningResult) -> tuple[Tone, str]:
         return tone, text
     return "warn" if tone == "good" else tone, (
         f"{text} The turning rotor does not behave as its model: over all speeds the residuals are "
-        f"{number(turned.uncertainty.scale, 2)} times the noise."
+        f"{times(turned.uncertainty.scale)} times the noise."
     )
 
 
@@ -118,7 +118,7 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         names = " and ".join(f"{p.plane}-plane" for p in wrong)
         size = max(p.residual_rms_total for p in wrong)
         told = (
-            f"the residuals are {number(size, 2)} times the noise"
+            f"the residuals are {times(size)} times the noise"
             if size > 1  # otherwise in units of noise and that error together
             else "there is an error of the model that had to be allowed for beside the noise"
         )

@@ -9,7 +9,7 @@ from service.identification.rotating.turned import Turned
 from service.report.figure import FOURTH, MODEL, SECOND, THIRD, Figure, band, line
 from service.report.format import figures, fixed, number, paragraph, table
 from service.report.page import Captioned, Section
-from sim.wording import in_words
+from sim.wording import in_words, times
 
 COLOUR = {"forward": MODEL, "backward": SECOND, "planar": FOURTH}
 SHADE = {"forward": "rgba(0,114,178,0.22)", "backward": "rgba(213,94,0,0.22)", "planar": "rgba(204,121,167,0.25)"}
@@ -66,7 +66,7 @@ def doubts(turned: Turned) -> list[str]:
         found.insert(
             0,
             f"The turning rotor does not behave as this model: over all speeds the residuals are "
-            f"{number(turned.uncertainty.scale, 2)} times the noise, so something acts that it does not have. Its "
+            f"{times(turned.uncertainty.scale)} times the noise, so something acts that it does not have. Its "
             "figures are the best that such a model has; their deviations are widened, not freed of a bias.",
         )
     return found

@@ -21,6 +21,7 @@ from service.identification.result.saved import SavedRotor
 from service.identification.rotating.model import RotatingModel
 from service.identification.rotating.whirl import loop_matrix
 from service.identification.statistics.drawn import DRAWS, Interval, drawn, interval
+from sim.wording import times
 
 AXES = ("xA", "xB", "yA", "yB")
 FIGURES = (
@@ -202,7 +203,7 @@ def inadequate_words(rms_over_sigma: float) -> str:
     'leaves residuals 85 times the noise: it does not describe the rig, and what it lacks this check does not see'
     """
     left = (
-        f"leaves residuals {rms_over_sigma:.2g} times the noise"
+        f"leaves residuals {times(rms_over_sigma)} times the noise"
         if rms_over_sigma > 1  # otherwise in units of noise and that error together
         else "has an error that had to be allowed for beside the noise"
     )

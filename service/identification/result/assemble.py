@@ -54,6 +54,7 @@ from service.identification.steps.rigid import rigid_response
 from service.identification.steps.staged import StagedFit
 from service.identification.steps.subspace import subspace
 from sim.datasheet import Datasheet
+from sim.wording import times
 
 
 def assemble(
@@ -169,11 +170,11 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
     if not u.adequate:
         warnings.insert(
             0,
-            f"residuals are {total:.2g} times the noise, more than chance makes them: something acts that the model "
+            f"residuals are {times(total)} times the noise, more than chance makes them: something acts that the model "
             "does not have; standard deviations allow for an error of that size, not for a bias that it may bring"
             if total > 1
-            else f"residuals are {total:.2g} times the noise, but for an error of the model that had to be allowed for "
-            "beside it: something acts that the model does not have",
+            else f"residuals are {times(total)} times the noise, but for an error of the model that had to be allowed "
+            "for beside it: something acts that the model does not have",
         )
     return (*refined.fit.doubt, *warnings)
 

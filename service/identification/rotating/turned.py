@@ -25,6 +25,7 @@ from service.identification.statistics.estimate import Estimate
 from service.identification.statistics.evidence import Evidence
 from sim.datasheet import Datasheet
 from sim.errors import AmbError
+from sim.wording import times
 
 ROUND = 0.005
 """Standard deviation of the logarithm by which the two planes' shapes of one mode may split differently."""
@@ -195,8 +196,8 @@ def turned(
         warnings += not_modes(planes, refined.model.planes, end)
     else:
         warnings.append(
-            f"residuals over all speeds are {u.scale:.2g} times the noise: something acts that the rotating model does "
-            "not have; standard deviations are widened"
+            f"residuals over all speeds are {times(u.scale)} times the noise: something acts that the rotating model "
+            "does not have; standard deviations are widened"
         )
     warnings += [*refined.fit.doubt, *turns_the_other_way(refined.model, u)]
     for points in data:

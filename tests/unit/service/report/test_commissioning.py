@@ -89,6 +89,11 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_large_residuals_are_told_without_an_exponent(result):
+    planes = {k: replace(p, adequate=False, residual_rms_total=313.2) for k, p in result.planes.items()}
+    assert "the residuals are 313 times the noise" in verdict(replace(result, planes=planes))[1]
+
+
 def test_a_model_with_an_error_that_had_to_be_allowed_for_is_not_told_by_residuals_below_the_noise(result):
     """Its residuals are in units of noise and that error together."""
     planes = {k: replace(p, adequate=False, residual_rms_total=0.93) for k, p in result.planes.items()}
