@@ -136,6 +136,11 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         f"The rig {result.rig!r} is identified: the model agrees with {where} by {worst_percent} or better in every "
         f"entry; {figures_found}"
     )
+    if off := max(p.off_unseen for p in planes):
+        return "warn", (
+            f"{text} On that sweep the residuals are up to {times(off)} times the noise, though: the model does not "
+            "hold there, and its deviations do not allow for it."
+        )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
     calm = unclear is None and zone in calm_zones(loudest.zones_db)

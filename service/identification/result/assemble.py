@@ -40,6 +40,7 @@ from service.identification.result.figures import (
 from service.identification.result.judged import (
     cross_validation,
     frequency_fit,
+    off_unseen,
     residual_tests,
     total_rms,
     unseen_modes,
@@ -75,6 +76,7 @@ def assemble(
         u = with_given(u, refined, data, given.covariance)
     fit, at_lines = frequency_fit(model, points, refined.amplitude)
     cross, cross_rms, validation_frf, validation_model = cross_validation(model, held_out, refined.reach)
+    off = off_unseen(model, u, held_out, refined.reach)
     rms, tests = residual_tests(refined, points)
     controller = (np.array(datasheet.numerator), np.array(datasheet.denominator))
     omega = dense_grid(model, closed_loop_poles(model, controller))
@@ -101,6 +103,7 @@ def assemble(
         fit_percent=fit,
         cross_validation_fit_percent=cross,
         cross_validation_rms=cross_rms,
+        off_unseen=off,
         staged=_staged(staged, held_out),
         residual_rms=rms,
         residual_rms_total=total,
@@ -132,6 +135,7 @@ def assemble(
         status=u.status(refined.fit),
         warnings=(
             *_warnings(points, refined, u, total),
+            *([_told_unseen(off)] if off else []),
             *([f"margins and zone of the loop are not known: {beyond.peak}"] if beyond.peak else []),
             *([f"margins are those of the measured band: {beyond.gain}"] if beyond.gain and not beyond.peak else []),
             *told_supports(found_modes, datasheet),
@@ -177,6 +181,14 @@ def _warnings(points: PlanePoints, refined: Refined, u: Uncertainty, total: floa
             "for beside it: something acts that the model does not have",
         )
     return (*refined.fit.doubt, *warnings)
+
+
+def _told_unseen(off: float) -> str:
+    return (
+        f"residuals on the sweep that no fit has seen are up to {times(off)} times the noise, beyond what the standard "
+        "deviations allow: the model does not hold there, as something depends on the amplitude or has changed between "
+        "the sweeps; diagnose the gap (ambit gap diagnose)"
+    )
 
 
 def _staged(fit: StagedFit, held_out: PlanePoints | None) -> Staged:

@@ -88,6 +88,9 @@ class PlaneResult:
     """The part of ``covariance`` that noise brings, the shapes' splits held."""
     beyond_measured: str = ""
     """Why its sensitivity peak is not known, as it lies above the measured band, in words; "" where it is."""
+    off_unseen: float = 0.0
+    """Residual over noise of the worst entry on the unseen sweep, where the standard deviations do not allow for it; 0
+    where the model holds there, or where there is no such sweep."""
     closed_loop: Predicted | None = None
     """Predicted against measured closed loop, on the unseen sweep where there is one."""
 
@@ -122,6 +125,7 @@ class PlaneResult:
             "fit_percent": self.fit_percent.tolist(),
             "cross_validation_fit_percent": _matrix(self.cross_validation_fit_percent),
             "cross_validation_rms": _matrix(self.cross_validation_rms),
+            "cross_validation_passed": None if self.cross_validation_rms is None else self.off_unseen == 0,
             "staged": self.staged.document(),
             "residuals": self._residuals(),
             "state_space": self.state_space.document(),

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.distributions import chi2_above
 from service.identification.arrays import Complex, Real
 from service.identification.joint.refine import FAR, NEAR, Refined, amplitude_of
 from service.identification.joint.residuals import noise_of
 from service.identification.joint.selection import Selected
+from service.identification.joint.uncertainty import Uncertainty
 from service.identification.measured.etfe import FrequencyResponse, etfe
 from service.identification.measured.points import PlanePoints, same_frequency
 from service.identification.plane.model import PlaneModel
@@ -17,6 +19,12 @@ from service.identification.plane.prediction import Amplitude, Points
 from service.identification.statistics.evidence import Evidence
 from service.identification.statistics.validation import CorrelationTest, independence, nrmse_matrix, whiteness
 from service.identification.steps.staged import StagedFit
+
+UNSEEN = 2.0
+"""Residual on points that no fit has seen, in units of what noise and the model's deviations make of it, beyond which
+the model does not hold there: its deviations are then less than half of its errors."""
+LEVEL = 0.001
+"""Of the chance that noise alone makes such a residual."""
 
 
 def frequency_fit(model: PlaneModel, points: PlanePoints, amplitude: Amplitude | None) -> tuple[Real, Complex]:
@@ -50,6 +58,32 @@ def cross_validation(
         return None, rms, None, None
     fit, response = frequency_fit(model, points, amplitude)
     return fit, rms, etfe(points, "u->y"), response
+
+
+def off_unseen(model: PlaneModel, u: Uncertainty, points: PlanePoints | None, reach: float = FAR) -> float:
+    """Largest rms/sigma of an entry on points that no fit has seen, of those that the model cannot account for; or 0.
+
+    Those are `UNSEEN` times as large as noise and the standard deviations of the model make them, and more than chance
+    does. ``reach``: that of `joint.refine.amplitude_of`.
+    """
+    if points is None:
+        return 0.0
+    amplitude, at = amplitude_of(model, points, reach), Points(points.omega, points.u)
+
+    def flat(m: PlaneModel) -> Real:
+        return np.ascontiguousarray(m.predict(at, amplitude).y).view(np.float64).ravel()
+
+    noise = noise_of(model, points, amplitude)
+    power = noise.sigma[:, -2:] ** 2
+    off = np.abs(points.y - model.predict(at, amplitude).y) ** 2
+    allowed = power + np.sum(u.std(model, flat)[0].reshape(*points.y.shape, 2) ** 2, axis=2)
+    largest = 0.0
+    for rows in (points.axis == k for k in np.unique(points.axis)):
+        ratio = np.mean(off[rows] / allowed[rows], axis=0)
+        chance = noise.inflation * chi2_above(LEVEL, 2 * int(rows.sum())) / (2 * rows.sum())
+        for c in np.flatnonzero(ratio > max(UNSEEN**2, chance)):
+            largest = max(largest, float(np.sqrt(np.mean(off[rows, c] / power[rows, c]))))
+    return largest
 
 
 def residual_tests(refined: Refined, points: PlanePoints) -> tuple[Real, dict[str, list[CorrelationTest]]]:

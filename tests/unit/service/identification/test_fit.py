@@ -70,6 +70,29 @@ def test_fit_on_the_unseen_sweep_and_residuals_of_noise_size(result: Commissioni
         assert plane.staged.complete_fit_percent.min() < plane.fit_percent.min()
 
 
+def test_a_rig_that_was_another_one_on_the_unseen_sweep_is_told(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel], controller
+) -> None:
+    """By residuals that its deviations do not allow for: a per cent of a gain changes no NRMSE that anyone looks at."""
+    one, model = sheet_of_one_plane(datasheet), truth["x"]
+    f = experiment.main.frequency_hz[experiment.main.axis == 0]
+    sweep = synthetic_sweep({"x": model}, one.axes, controller, f, 0.12, seed=4)
+    crept = model.theta.copy()
+    crept[model.layout.index("sensor_gain_A")] *= 1.01
+    told = []
+    for unseen in (model, model.at(crept)):
+        later = synthetic_sweep({"x": unseen}, one.axes, controller, np.geomspace(12, 950, 20), 0.15, seed=5)
+        found = identify(synthetic_experiment(sweep, replace(later, comment="validation"), axes=one.axes), one)
+        (plane,) = found.planes.values()
+        assert plane.adequate
+        assert plane.cross_validation_fit_percent is not None
+        assert plane.cross_validation_fit_percent.min() > 98
+        warned = any("sweep that no fit has seen" in w for w in plane.warnings)
+        assert warned == (plane.off_unseen > 0) == (not plane.document()["cross_validation_passed"])
+        told.append(warned)
+    assert told == [False, True]
+
+
 def test_the_document_is_strict_json_with_the_contracts_keys(result: CommissioningResult) -> None:
     document = json.loads(json.dumps(result.document(), allow_nan=False))
     assert document["format"] == "amb-commissioning-result"

@@ -89,6 +89,16 @@ def test_a_wrong_model_is_not_called_identified(result):
     assert "12 times the noise" in text
 
 
+def test_a_model_that_does_not_hold_on_the_unseen_sweep_is_no_good_news(result):
+    """However well it describes what it was fitted to, and however small the share of the signal that is wrong."""
+    own = (("fine", 40.0), ("bad", math.inf))
+    planes = {k: replace(p, zones_db=own, tests_passed=True) for k, p in result.planes.items()}
+    assert verdict(replace(result, planes=planes))[0] == "good"
+    tone, text = verdict(replace(result, planes=planes | {"x": replace(planes["x"], off_unseen=28.7)}))
+    assert tone == "warn"
+    assert "On that sweep the residuals are up to 29 times the noise" in text
+
+
 def test_large_residuals_are_told_without_an_exponent(result):
     planes = {k: replace(p, adequate=False, residual_rms_total=313.2) for k, p in result.planes.items()}
     assert "the residuals are 313 times the noise" in verdict(replace(result, planes=planes))[1]
