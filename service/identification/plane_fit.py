@@ -102,7 +102,7 @@ def fit_plane(
     released
         What of the datasheet's mass, geometry and sensor gains may move, and how well each is known.
     given
-        What is held in place of these.
+        What is held in place of these; ``released`` then says only how well it is known.
     """
     options = options or Options()
     own = Chain() if chain is None else chain.of(list(planes_of(axes)[plane]))
@@ -110,7 +110,9 @@ def fit_plane(
     check_excitation(points)
     told = Tolerances.of(datasheet, points.axes)
     prior = told if options.priors else told.of_amplifiers() if points.I is None else None
-    data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior, released)
+    held = given is not None
+    freed, loose = (None, released) if held else (released, None)
+    data = Data(points, _amplifier_points(amplifier_sweep, axes, plane), prior, freed, loose)
     found = _fit_points(data, datasheet, axes, options, own, given=given)
     found = _settled(found, main, axes, datasheet, options, _block_s(main, points))
     held_out = None

@@ -73,7 +73,7 @@ def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Toleranc
         if not _explain(released, found):
             return Within(found)
         both = one_rotor({plane: (f.selected, f.data) for plane, f in released.items()}, told)
-        again = {plane: fit(plane, None, both.of(plane)) for plane in found}
+        again = {plane: fit(plane, told[plane], both.of(plane)) for plane in found}
     except AmbError:  # what is found stands
         return Within(found)
     if not _explain(again, found):

@@ -12,11 +12,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.joint.refine import FAR, NEAR, Refined, amplitude_of, refine
+from service.identification.arrays import Real
+from service.identification.joint.refine import FAR, NEAR, Refined, amplitude_of, refine, residuals_following
 from service.identification.joint.residuals import residuals
 from service.identification.measured.data import Data
 from service.identification.priors.split import ROWS, Knowledge, Posterior, Split
 from service.identification.priors.split_posterior import posterior
+from service.identification.priors.tolerances import Tolerances
 
 MOST_STEPS = 200
 CLEAR = 10.0
@@ -43,9 +45,25 @@ def finished(
         # no displacement was measured there: bearings that the data then disagree with do not move so far
         reach, likeliest = NEAR, _fitted(refined, data, free, knowledge, NEAR)
     n = ROWS * n_modes
-    r, jacobian = likeliest.fit.residual[:-n], likeliest.fit.jacobian[:-n]
-    known = posterior(likeliest.model, r, jacobian, likeliest.fit.free, knowledge, use_data=refined.relative == 0)
+    r, jacobian, moves = likeliest.fit.residual[:-n], likeliest.fit.jacobian[:-n], likeliest.fit.free
+    if data.loose is not None:
+        r, jacobian, moves = _with_loose(likeliest, data, data.loose)
+    known = posterior(likeliest.model, r, jacobian, moves, knowledge, use_data=refined.relative == 0)
     return _fitted(likeliest, data, free, Split.of(likeliest.model, knowledge.end_rad_s), reach), known
+
+
+def _with_loose(refined: Refined, data: Data, loose: Tolerances) -> tuple[Real, Real, NDArray[np.bool_]]:
+    """Residuals of the data, their slopes, and what moves, where what is held may move within its tolerances.
+
+    The work of the position stiffness, parts in a thousand, is also that of a mass or a distance which is off by as
+    much: with these held, the data would tell splits ten times and more as well as they do.
+    """
+    moves = refined.fit.free.copy()
+    moves[refined.model.layout.given] = True
+    with_it = replace(data, released=loose)
+    r, slopes = residuals_following(refined.model, with_it, refined.weights, moves, refined.reach)
+    assert slopes is not None
+    return r, slopes, moves
 
 
 def _fitted(

@@ -19,3 +19,6 @@ class Data:
     released: Tolerances | None = None
     """What of the datasheet's mass, geometry and sensor gains a fit may move, and how well each is known; None where
     they are held."""
+    loose: Tolerances | None = None
+    """The same of what is held at other values than the datasheet's, which were found so: what the data tell with these
+    held is not all known."""

@@ -14,12 +14,15 @@ from service.identification.controller.check import check_controller
 from service.identification.fit import identify
 from service.identification.plane.layout import GIVEN, SHIFTS
 from service.identification.plane.model import PlaneModel
-from service.identification.plane_fit import FittedPlane, settled_alike
+from service.identification.plane_fit import FittedPlane, fit_plane, settled_alike
+from service.identification.priors.given import Given
+from service.identification.priors.tolerances import Tolerances
 from service.identification.result.commissioning import CommissioningResult
 from service.identification.result.saved import saved_planes
 from service.report.commissioning import commissioning_page
 from sim.datasheet import ASSUMED, Datasheet
 from tests.support.planes import synthetic_experiment, synthetic_sweep
+from tests.support.two_axes import sheet_of_one_plane
 
 OFF = {
     "mass_kg": 0.004,
@@ -127,6 +130,23 @@ def test_what_the_data_tell_of_geometry_and_sensors_is_told(
         assert off_result.planes[plane].model.theta[model.layout.given] == pytest.approx(
             [held[n if "gain" not in n else f"sensor_gain_{plane}{n[-1]}"].value for n in GIVEN]
         )
+
+
+def test_what_is_known_of_shapes_is_no_more_than_with_these_values_free(
+    rig: dict[str, PlaneModel], datasheet: Datasheet, controller
+) -> None:
+    """The work of the position stiffness, which tells of a shape's split, is also that of a mass that is off."""
+    one, model = sheet_of_one_plane(datasheet), rig["x"]
+    sweep = measured({"x": model}, one, controller).main
+    told = Tolerances.of_given(one, ("xA", "xB"))
+    given = Given(model.theta[model.layout.given], np.diag((told.stds / 10) ** 2))
+    spread = []
+    for held in (None, given):
+        found = fit_plane(sweep, None, None, one.axes, "x", one, released=told, given=held)
+        splits = found.selected.splits
+        assert splits is not None
+        spread.append(np.sqrt(np.diag(splits.covariance)))
+    assert np.all(spread[1] > 0.8 * spread[0])
 
 
 def test_responses_and_margins_are_known_as_well_as_they_are_measured(
