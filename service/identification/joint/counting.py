@@ -16,7 +16,7 @@ from service.identification.measured.etfe import FrequencyResponse
 from service.identification.plane.layout import N_MODE
 from service.identification.plane.model import PlaneModel
 from service.identification.priors.split import likeliest
-from service.identification.steps.flexible import is_visible, search, tells
+from service.identification.steps.flexible import is_visible, search, shapes_of, tells
 from service.identification.steps.rational import LONE_LINE
 from service.identification.steps.start import modes_from, remote, with_modes, with_split
 
@@ -206,8 +206,11 @@ class Counting:
         return other if self.fits.cost(other) < 0.5 * self.fits.cost(found) else found
 
     def _without_one(self, refined: Refined, weights: Weights) -> Refined:
-        """The joint fit without the mode that the measured lines see least of."""
-        return self._without(refined, self._least_seen(refined.model), weights)
+        """The joint fit without the mode that the measured lines see least of, or one for two in one peak."""
+        fewer = self._without(refined, self._least_seen(refined.model), weights)
+        if (one := _merged(refined.model)) is None:
+            return fewer
+        return min(fewer, self.fits.again(one, weights), key=self.fits.cost)
 
     def _without(self, refined: Refined, k: int, weights: Weights) -> Refined:
         keep = np.delete(refined.model.modes, k, axis=0)
@@ -312,6 +315,20 @@ class Counting:
             self.fits.cost(more) < 0.7 * self.fits.cost(now)
             and all(is_visible(m[0], m[1], omega) for m in more.model.modes)
         )
+
+
+def _merged(model: PlaneModel) -> PlaneModel | None:
+    """The plane with one mode in place of two whose peaks lie within each other's width; None without such."""
+    modes = model.modes[np.argsort(model.modes[:, 0])]
+    for k in range(len(modes) - 1):
+        pair = modes[k : k + 2]
+        if pair[1, 0] - pair[0, 0] > pair[:, 1].sum():
+            continue
+        residues = np.einsum("ks,kb->ksb", pair[:, 4:6], pair[:, 2:4])
+        bearing, sensor = shapes_of(residues.sum(axis=0), np.ones(2))
+        nu, sigma = np.average(pair[:, :2], axis=0, weights=np.linalg.norm(residues, axis=(1, 2)))
+        return with_modes(model, np.vstack([modes[:k], [nu, sigma, *bearing, *sensor], modes[k + 2 :]]))
+    return None
 
 
 def is_lone(mode: NDArray[np.float64], omega: NDArray[np.float64]) -> bool:

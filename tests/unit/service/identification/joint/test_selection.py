@@ -153,6 +153,24 @@ def test_modes_are_found_although_the_search_took_one_peak_for_three(
     )
 
 
+def test_two_modes_that_share_one_peak_are_one(
+    datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Both are needed beside each other, and a third one, of which the lines see less, for itself."""
+    hz = np.unique(np.concatenate([np.geomspace(10, 997, 80), *(f + np.linspace(-6, 6, 7) for f in (492.6, 907.2))]))
+    first, second = truth["x"].modes
+    second = second * np.array([1.0, 1.0, *np.full(4, 0.2)])
+    rig = truth | {"x": with_modes(truth["x"], np.vstack([first, second]))}
+    data, plant, staged = _measured(datasheet, rig, controller, hz, 1)
+    near = np.array([1.0, 1.0, *np.full(4, np.sqrt(0.5))])
+    apart = np.array([0.2 * first[1], 0.0, 0.0, 0.0, 0.0, 0.0])
+    twins = with_modes(truth["x"], np.vstack([near * first - apart, near * first + apart, second]))
+    knowledge = split_knowledge(datasheet, Options())
+    assert_the_truth(
+        choose_modes(twins, staged.rigid_model, data, plant, staged.lowest_mode_rad_s, knowledge), rig["x"]
+    )
+
+
 def _lines_with_one_off(
     datasheet: Datasheet, truth: dict[str, PlaneModel], controller: tuple[np.ndarray, np.ndarray], off: complex
 ) -> Selected:
