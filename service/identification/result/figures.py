@@ -25,6 +25,11 @@ from service.identification.statistics.validation import nrmse_percent
 from service.identification.steps.amplifier_fit import AmplifierFit
 from sim.datasheet import Datasheet
 
+MOST_DAMPED = 0.3
+"""Damping ratio from which a mode has no peak, and is none of a rotor."""
+DOUBT = 3.0
+"""Standard deviations that an estimate may be off by chance."""
+
 
 def stiffness(model: PlaneModel, u: Uncertainty, datasheet: Datasheet, points: PlanePoints) -> dict[str, Estimate]:
     """Ks (N/m) and ki (N/A) of both bearings beside what the datasheet says."""
@@ -48,18 +53,27 @@ def modes(model: PlaneModel, u: Uncertainty, points: PlanePoints, splits: Poster
 
     units = ["rad/s"] * n + [""] * n + ["rad/s"] * n + ["1/sqrt(kg)"] * (4 * n)
     found = estimates(model, u, figures, units)
-    out = []
+    out, kind = [], kinds(model, u, points)
     for k in range(n):
         shapes = found[3 * n + 4 * k : 3 * n + 4 * k + 4]
         if splits is not None and splits.shapes is not None:
             linear = 0.25 * splits.covariance[k, k]
             shapes = [_with_split(s, splits.shapes[k, j // 2] - linear) for j, s in enumerate(shapes)]
-        w, zeta = found[k].value, found[n + k].value
-        kind = "rotor" if w <= points.omega.max() and 0 < zeta < 0.3 else "beyond" if 0 < zeta < 0.3 else "patch"
-        out.append(
-            ModeResult(found[k], found[n + k], found[2 * n + k], (shapes[0], shapes[1]), (shapes[2], shapes[3]), kind)
-        )
+        at = (shapes[0], shapes[1]), (shapes[2], shapes[3])
+        out.append(ModeResult(found[k], found[n + k], found[2 * n + k], *at, kind[k]))
     return tuple(sorted(out, key=lambda m: m.natural_frequency_rad_s.value))
+
+
+def kinds(model: PlaneModel, u: Uncertainty, points: PlanePoints) -> tuple[str, ...]:
+    """What each mode is: the rotor's, what lies beyond the band, or a patch, which damps as no rotor does.
+
+    One that damps next to nothing may well be found to damp less than that.
+    """
+    zeta, std = model.damping_ratios, u.std(model, lambda m: m.damping_ratios)[0]
+    least = np.where(DOUBT * std < MOST_DAMPED, -DOUBT * std, 0.0)
+    is_mode = (least < zeta) & (zeta < MOST_DAMPED)
+    within = model.natural_frequencies <= points.omega.max()
+    return tuple(np.where(~is_mode, "patch", np.where(within, "rotor", "beyond")).tolist())
 
 
 def _with_split(shape: Estimate, beyond_linear: float) -> Estimate:
