@@ -11,7 +11,7 @@ from service.experiment.data import Sweep
 from service.experiment.speeds import at_standstill
 from service.identification.arrays import Real
 from service.identification.joint.selection import Selected, choose_modes
-from service.identification.joint.uncertainty import uncertainty_of
+from service.identification.joint.uncertainty import Uncertainty, uncertainty_of
 from service.identification.measured.block_length import block_samples
 from service.identification.measured.data import Data
 from service.identification.measured.etfe import FrequencyResponse, etfe
@@ -21,6 +21,7 @@ from service.identification.priors.given import Given
 from service.identification.priors.tolerances import Tolerances
 from service.identification.result.assemble import assemble
 from service.identification.result.commissioning import PlaneResult
+from service.identification.result.figures import kinds
 from service.identification.result.judged import residual_tests, total_rms
 from service.identification.ringing.transient import LASTING, Transient, settled, told
 from service.identification.steps.amplifier_fit import AmplifierFit
@@ -58,8 +59,18 @@ class FittedPlane:
     @property
     def adequate(self) -> bool:
         """Whether the model explains the data."""
+        return self._uncertainty.adequate
+
+    @property
+    def sound(self) -> bool:
+        """Whether that takes no mode that no rotor has: it stands for something else, as for a mass that is off."""
+        model = self.selected.refined.model
+        return self.adequate and "patch" not in kinds(model, self._uncertainty, self.data.plant)
+
+    @property
+    def _uncertainty(self) -> Uncertainty:
         refined = self.selected.refined
-        return uncertainty_of(refined, self.selected.splits, inflation=refined.noise.inflation).adequate
+        return uncertainty_of(refined, self.selected.splits, inflation=refined.noise.inflation)
 
     def result(self, datasheet: Datasheet) -> PlaneResult:
         """Figures with uncertainty, validation, curves."""

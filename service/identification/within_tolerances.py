@@ -2,9 +2,10 @@
 
 A drawing tells the mass to parts in a thousand and a sensor's place to a millimetre, a calibration its gain to a per
 cent; a sweep tells the response to parts in ten thousand. Held at the datasheet's values a fit then fails on a rig that
-has nothing wrong. So where it fails, every plane is fitted once more with these values free, each within its tolerance
-(a residual beside those of the data), then all planes together, as the rotor is common to them (`joint.one_rotor`), and
-in the end each as before, with what that led to in place of the datasheet's values.
+has nothing wrong, or explains the data by a mode that no rotor has. So where it does, every plane is fitted once more
+with these values free, each within its tolerance (a residual beside those of the data), then all planes together, as
+the rotor is common to them (`joint.one_rotor`), and in the end each as before, with what that led to in place of the
+datasheet's values.
 
 Data cannot tell all of it: mass, inertia, ki and ks in one proportion, or a gain of all sensors and ki, are known by
 tolerances alone. So the covariance of what is held goes into that of every figure (`joint.uncertainty.with_given`).
@@ -66,20 +67,22 @@ def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Toleranc
     fit
         Fits a plane once more; raises `AmbError` where it cannot.
     """
-    if not found or all(f.adequate for f in found.values()):
+    if not found or all(f.sound for f in found.values()):
         return Within(found)
     try:
         released = {plane: fit(plane, told[plane], None) for plane in found}
-        if not _explain(released, found):
+        if not _better(released, found):
             return Within(found)
         both = one_rotor({plane: (f.selected, f.data) for plane, f in released.items()}, told)
         again = {plane: fit(plane, told[plane], both.of(plane)) for plane in found}
     except AmbError:  # what is found stands
         return Within(found)
-    if not _explain(again, found):
+    if not _better(again, found):
         return Within(found)
     before, after = (np.sqrt(_power(planes)) for planes in (found, again))
     fall = f"residuals fall from {times(before)} to {times(after)} times the noise with"
+    if all(f.adequate for f in found.values()):
+        fall = "no mode that no rotor has is needed to explain the data with"
     off = sorted(both.adjusted, key=lambda a: -abs(a.off))
     strained = [a for a in off if abs(a.off) > STRAINED]
     if strained and abs(strained[0].off) > FARTHEST:
@@ -91,6 +94,13 @@ def within_tolerances(found: dict[str, FittedPlane], told: Mapping[str, Toleranc
     if strained:
         doubts.append(f"{_in_words(strained)} from the datasheet's value: {WRONG}")
     return Within(again, both, tuple(doubts))
+
+
+def _better(planes: Mapping[str, FittedPlane], before: Mapping[str, FittedPlane]) -> bool:
+    """Whether other values explain what the datasheet's do not, or do without a mode that no rotor has."""
+    if all(f.adequate for f in before.values()):
+        return all(f.sound for f in planes.values())
+    return _explain(planes, before)
 
 
 def _explain(planes: Mapping[str, FittedPlane], before: Mapping[str, FittedPlane]) -> bool:

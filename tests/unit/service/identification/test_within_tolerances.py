@@ -19,6 +19,7 @@ from service.identification.priors.given import Given
 from service.identification.priors.tolerances import Tolerances
 from service.identification.result.commissioning import CommissioningResult
 from service.identification.result.saved import saved_planes
+from service.identification.within_tolerances import within_tolerances
 from service.report.commissioning import commissioning_page
 from sim.datasheet import ASSUMED, Datasheet
 from tests.support.planes import synthetic_experiment, synthetic_sweep
@@ -130,6 +131,29 @@ def test_what_the_data_tell_of_geometry_and_sensors_is_told(
         assert off_result.planes[plane].model.theta[model.layout.given] == pytest.approx(
             [held[n if "gain" not in n else f"sensor_gain_{plane}{n[-1]}"].value for n in GIVEN]
         )
+
+
+def test_they_are_asked_for_where_a_mode_that_no_rotor_has_explains_the_data_too(
+    rig: dict[str, PlaneModel], datasheet: Datasheet, controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Noise this loud hides what such values do, but for what a further mode takes up, and ki with it."""
+    one, axes = sheet_of_one_plane(datasheet), ("xA", "xB")
+    sweep = synthetic_sweep({"x": rig["x"]}, axes, controller, HZ, 0.2, seed=1, displacement_noise_m=1e-7)
+    told = {"x": Tolerances.of_given(one, axes)}
+
+    def fit(plane: str, released: Tolerances | None, given: Given | None) -> FittedPlane:
+        return fit_plane(sweep, None, None, axes, plane, one, released=released, given=given)
+
+    found = {"x": fit("x", None, None)}
+    assert found["x"].adequate
+    patches = {False: ("patch",), True: ("rotor",)}
+    explained = found["x"].selected.refined.model
+    monkeypatch.setattr("service.identification.plane_fit.kinds", lambda model, *_: patches[model is not explained])
+    within = within_tolerances(found, told, fit)
+    assert within.adjusted
+    assert within.doubts[0].startswith("no mode that no rotor has is needed to explain the data with other values")
+    monkeypatch.setattr("service.identification.plane_fit.kinds", lambda *_: ("rotor", "patch"))
+    assert not within_tolerances(found, told, fit).adjusted
 
 
 def test_what_is_known_of_shapes_is_no_more_than_with_these_values_free(
