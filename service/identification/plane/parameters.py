@@ -20,6 +20,8 @@ from sim.chain import Chain
 
 FASTEST = 20.0
 """Frequency times the sample time, and delay over it, beyond which the data tell nothing of either."""
+AT_ONCE = 1e14
+"""The same of an amplifier that is one lag: a datasheet may tell it as fast as it likes, but a fit has to end."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,8 @@ class PlaneParameters:
             gain_and_poles = t[place]
             if min(gain_and_poles) <= 0:
                 return False
-            frequencies = [*gain_and_poles[1:2], *gain_and_poles[3:]] if len(gain_and_poles) > 2 else []
-            if any(w * period >= FASTEST for w in frequencies):
+            fastest = AT_ONCE if len(gain_and_poles) == 2 else FASTEST
+            if any(w * period >= fastest for w in (*gain_and_poles[1:2], *gain_and_poles[3:])):
                 return False
         for k in range(layout.n_modes):
             nu, sigma = t[layout.mode(k)][:2]

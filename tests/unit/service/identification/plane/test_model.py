@@ -167,3 +167,15 @@ def test_excess_force_vanishes_with_the_amplitude(truth: dict[str, PlaneModel]) 
         points = Points(OMEGA, size * U)
         linear, full = model.predict(points).y, model.predict(points, amplitude_of(model, points)).y
         assert np.max(np.abs(full - linear)) < 30 * size**2 * np.max(np.abs(linear))
+
+
+@pytest.mark.parametrize(("per_sample", "physical"), [(1e12, True), (1e60, False)])
+def test_an_amplifier_of_one_lag_may_be_fast_but_does_not_run_away(
+    model: PlaneModel, per_sample: float, physical: bool
+) -> None:
+    """Where a delay stands for its lag its frequency has no end, until no step of the sampled loop is a number."""
+    theta, start = model.theta, model.layout.delay
+    lag = [1.0, per_sample / model.known.sample_time_s]
+    layout = Layout((1, 1), model.layout.n_modes)
+    fast = replace(model, layout=layout, theta=np.concatenate([theta[:4], lag, lag, theta[start:]]))
+    assert fast.is_physical == physical
