@@ -103,8 +103,9 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         if unclear is None
         else f"its zone not known: in the {unclear.plane}-plane {unclear.beyond_measured}"
     )
+    given = "" if result.adjusted else " with the datasheet's mass, geometry and sensor gains"
     figures_found = (
-        f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma); "
+        f"ki is {span(ki)} N/A and ks {span(ks)} MN/m, each known to {number(100 * relative, 2)} % (one sigma){given}; "
         f"the loop's sensitivity peaks at {decibel(peak):.1f} dB, {in_zone}."
     )
     if not result.identified:
@@ -221,6 +222,13 @@ def _adjusted(result: CommissioningResult) -> Iterator[str]:
             "these, each as likely as its tolerance says, do. Positions are changes: the centre of gravity towards A, "
             "sensors away from it. "
             "A standard deviation close to the tolerance says that the data tell nothing of the value.",
+            "small",
+        )
+    else:
+        yield paragraph(
+            "Mass, geometry and sensor gains are the datasheet's, and standard deviations are those with these given. "
+            "No sweep tells a mass from ki and ks, nor a gain of all sensors from ki: by as much as these are off, so "
+            "are those.",
             "small",
         )
 

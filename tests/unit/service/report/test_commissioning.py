@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from service.identification.fit import identify
+from service.identification.priors.given import Adjusted
 from service.report.commissioning import commissioning_page, verdict
 from service.report.format import figures
 from tests.support.browser import BROWSER
@@ -97,6 +98,16 @@ def test_a_model_that_does_not_hold_on_the_unseen_sweep_is_no_good_news(result):
     tone, text = verdict(replace(result, planes=planes | {"x": replace(planes["x"], off_unseen=28.7)}))
     assert tone == "warn"
     assert "On that sweep the residuals are up to 29 times the noise" in text
+
+
+def test_deviations_are_told_as_what_they_are(page, result, measured):
+    """A few parts in a million of ki, where a sensor's gain is known to a per cent."""
+    with_these = "(one sigma) with the datasheet's mass, geometry and sensor gains"
+    assert with_these in verdict(result)[1]
+    assert "standard deviations are those with these given" in page
+    held = replace(result, adjusted=(Adjusted("mass_kg", 280.7, 0.6, 280.0, 1.4),))
+    assert with_these not in verdict(held)[1]
+    assert "standard deviations are those with these given" not in commissioning_page(held, *measured)
 
 
 def test_large_residuals_are_told_without_an_exponent(result):
