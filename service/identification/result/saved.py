@@ -27,6 +27,11 @@ OTHER_LAW = (
     "as it is written; where the same difference would come upon it, write it into the law"
 )
 
+NOT_UNSEEN = (
+    "its model did not hold on the sweep that no fit has seen: at other amplitudes, or after a while, the rig is "
+    "another one by more than the deviations allow; diagnose the gap (ambit gap diagnose)"
+)
+
 SPEEDLESS = (
     "judged for a rotor that stands still: the result's model of the turning rotor cannot be read, and the planes have "
     "no gyroscopic coupling; identify the experiments once more (ambit identify --also)"
@@ -71,7 +76,7 @@ class SavedPlane:
     rig_axes: tuple[str, ...]
     """All axes of the rig, those of the other planes with them."""
     notes: tuple[str, ...] = ()
-    """What to know of the effects that the twin names, in sentences: above all what the model lacks of them."""
+    """What to know of what the model lacks, in sentences: of effects that the twin names, and of the unseen sweep."""
 
     def beyond_measured(self, model: PlaneModel, controller: tuple[Real, Real]) -> Beyond:
         """What of its loop with a controller lies above what was measured.
@@ -212,6 +217,8 @@ def _saved(found: Mapping[str, Any], twin: Folded, plane: str, notes: tuple[str,
     total = np.array(kept["covariance"], dtype=float)
     own = total if kept["covariance_from_data"] is None else np.array(kept["covariance_from_data"], dtype=float)
     residuals = found["residuals"]
+    if found.get("cross_validation_passed") is False:
+        notes = (*notes, f"plane {plane}: {NOT_UNSEEN}")
     return SavedPlane(
         plane,
         pair,

@@ -140,6 +140,7 @@ class _PlaneModel(_Read):
     rotor_modes: list[_Mode]
     other_modes: list[_OtherMode]
     mode_evidence: list[_Evidence] | None = None
+    cross_validation_passed: bool | None = None
     measured_hz: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None = None
 
     @model_validator(mode="after")

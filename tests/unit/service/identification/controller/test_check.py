@@ -140,6 +140,18 @@ def test_of_a_model_that_does_not_describe_the_rig_nothing_is_known(planes):
     assert check_controller("reference", poor, scaled(0.4), **GENEROUS).verdict == "unsafe"
 
 
+def test_a_model_that_did_not_hold_on_the_unseen_sweep_is_told():
+    document = result()
+    own = document["planes"]
+    later = own | {
+        "x": own["x"] | {"cross_validation_passed": False},
+        "y": own["y"] | {"cross_validation_passed": True},
+    }
+    found = check_controller("reference", saved_planes(document | {"planes": later}, SHEET), LAW, draws=5, **GENEROUS)
+    (told,) = [w for w in found.warnings if "no fit has seen" in w]
+    assert told.startswith("plane x: its model did not hold")
+
+
 def test_a_model_with_an_error_that_was_allowed_for_does_not_describe_the_rig_either(planes):
     """Its residuals are small in units of noise and that error together."""
     poor = planes | {"x": replace(planes["x"], adequate=False, rms_over_sigma=0.8)}
