@@ -11,6 +11,7 @@ import numpy as np
 from service.experiment.data import Experiment
 from service.experiment.speeds import at_standstill
 from service.identification.loop.margins import Margin
+from service.identification.priors.tolerances import STRAINED
 from service.identification.result.commissioning import UNKNOWN, CommissioningResult, PlaneResult
 from service.identification.result.parts import ModeResult
 from service.report import measurement
@@ -137,15 +138,21 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         f"The rig {result.rig!r} is identified: the model agrees with {where} by {worst_percent} or better in every "
         f"entry; {figures_found}"
     )
+    if strained := [a for a in result.adjusted if abs(a.off) > STRAINED]:
+        farthest = max(strained, key=lambda a: abs(a.off))
+        text += (
+            f" The {farthest.in_words} is {abs(farthest.off):.1f} tolerances from the datasheet's value: where that is "
+            "wrong rather than loose, ki and ks may be off by as much, and their deviations do not allow for it."
+        )
     if off := max(p.off_unseen for p in planes):
         return "warn", (
-            f"{text} On that sweep the residuals are up to {times(off)} times the noise, though: the model does not "
-            "hold there, and its deviations do not allow for it."
+            f"{text} On the unseen sweep the residuals are up to {times(off)} times the noise, though: the model does "
+            "not hold there, and its deviations do not allow for it."
         )
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
     calm = unclear is None and zone in calm_zones(loudest.zones_db)
-    return ("good" if calm and worst > GOOD_PERCENT else "warn"), text
+    return ("good" if calm and worst > GOOD_PERCENT and not strained else "warn"), text
 
 
 def _standard(plane: PlaneResult) -> str:

@@ -97,7 +97,18 @@ def test_a_model_that_does_not_hold_on_the_unseen_sweep_is_no_good_news(result):
     assert verdict(replace(result, planes=planes))[0] == "good"
     tone, text = verdict(replace(result, planes=planes | {"x": replace(planes["x"], off_unseen=28.7)}))
     assert tone == "warn"
-    assert "On that sweep the residuals are up to 29 times the noise" in text
+    assert "On the unseen sweep the residuals are up to 29 times the noise" in text
+
+
+@pytest.mark.parametrize(("off", "tone"), [(1.2, "good"), (-4.1, "warn")])
+def test_a_value_beyond_its_tolerance_is_no_good_news(result, off, tone):
+    """Then nobody knows which of them is wrong: of the mass, ki and ks in proportion with it."""
+    own = (("fine", 40.0), ("bad", math.inf))
+    planes = {k: replace(p, zones_db=own, tests_passed=True) for k, p in result.planes.items()}
+    held = (Adjusted("transverse_inertia_kgm2", 10.87 * (1 + 0.01 * off), 0.01, 10.87, 0.1087),)
+    found, text = verdict(replace(result, planes=planes, adjusted=held))
+    assert found == tone
+    assert ("The transverse inertia is 4.1 tolerances from the datasheet's value" in text) == (tone == "warn")
 
 
 def test_deviations_are_told_as_what_they_are(page, result, measured):
