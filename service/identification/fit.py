@@ -94,6 +94,7 @@ def identify(
         cross_planes=across,
         known_effects=twin.effects,
         adjusted=within.adjusted,
+        controller_differs=prepared.controller_differs,
     )
 
 
@@ -107,6 +108,8 @@ class _Prepared:
     """known blocks of the loop that lie between the log and the model"""
     chosen: Chosen
     warnings: tuple[str, ...]
+    controller_differs: bool
+    """whether the log is not of the datasheet's controller"""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -140,7 +143,7 @@ def _prepared(experiment: Experiment, twin: Folded) -> _Prepared:
         )
     if chosen.validation is None:
         warnings.append("no sweep is left for cross-validation: the fit is judged on the data that it was made from")
-    return _Prepared(experiment, datasheet, twin.chain, chosen, tuple(warnings))
+    return _Prepared(experiment, datasheet, twin.chain, chosen, tuple(warnings), log.controller_differs)
 
 
 def _fitted_planes(p: _Prepared, options: Options, say: Progress) -> Within:

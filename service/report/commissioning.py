@@ -144,6 +144,11 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
             f" The {farthest.in_words} is {abs(farthest.off):.1f} tolerances from the datasheet's value: where that is "
             "wrong rather than loose, ki and ks may be off by as much, and their deviations do not allow for it."
         )
+    if result.controller_differs:
+        text += (
+            " The log does not hold the control law of the datasheet, though, of which the loop's peak and its zone are: "
+            "another controller ran, or a signal is not logged as it had it."
+        )
     if off := max(p.off_unseen for p in planes):
         return "warn", (
             f"{text} On the unseen sweep the residuals are up to {times(off)} times the noise, though: the model does "
@@ -152,7 +157,8 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
     if not all(p.tests_passed for p in planes):
         return "warn", f"{text} The residuals are of the size of the noise, but not white: see the residual tests."
     calm = unclear is None and zone in calm_zones(loudest.zones_db)
-    return ("good" if calm and worst > GOOD_PERCENT and not strained else "warn"), text
+    doubtful = strained or result.controller_differs
+    return ("good" if calm and worst > GOOD_PERCENT and not doubtful else "warn"), text
 
 
 def _standard(plane: PlaneResult) -> str:

@@ -45,6 +45,8 @@ class Checked:
     chain: Chain
     """With the offset of the log, so that `known.led_back` moves u to where it belongs."""
     warnings: tuple[str, ...]
+    controller_differs: bool = False
+    """Whether u is not r - C y with the datasheet's controller C, once it is moved."""
 
 
 def checked(experiment: Experiment, datasheet: Datasheet, chain: Chain) -> Checked:
@@ -74,10 +76,9 @@ def checked(experiment: Experiment, datasheet: Datasheet, chain: Chain) -> Check
         if len(spoilt):
             sweeps[k], sentence = _without(sweeps[k], spoilt)
             warnings.append(f"sweeps/{k}: {sentence}")
-    warnings += _other_controller(seen, offset, experiment.axes)
-    return Checked(
-        replace(experiment, sweeps=tuple(sweeps)), replace(chain, logging_offset_samples=offset), tuple(warnings)
-    )
+    other = _other_controller(seen, offset, experiment.axes)
+    chain = replace(chain, logging_offset_samples=offset)
+    return Checked(replace(experiment, sweeps=tuple(sweeps)), chain, (*warnings, *other), bool(other))
 
 
 @dataclass(frozen=True)

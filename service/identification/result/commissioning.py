@@ -193,6 +193,8 @@ class CommissioningResult:
     """Effects that the twin named, and where the model has them."""
     adjusted: tuple[Adjusted, ...] = ()
     """Values that were held in place of the datasheet's, where those did not explain the data and these do."""
+    controller_differs: bool = False
+    """Whether the log is not of the datasheet's controller, of which all margins are."""
 
     @property
     def unseen(self) -> bool:
@@ -224,6 +226,7 @@ class CommissioningResult:
             "version": 1,
             "rig": self.rig,
             "identified": self.identified,
+            "controller_as_stated": not self.controller_differs,
             "planes": {name: p.document() for name, p in self.planes.items()},
             "experiment": experiment,
             "speed_rad_s": self.speed_rad_s,

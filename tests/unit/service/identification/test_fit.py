@@ -132,10 +132,20 @@ def test_a_rig_with_one_plane(
     f = experiment.main.frequency_hz[experiment.main.axis == 0]
     sweep = synthetic_sweep({"x": truth["x"]}, one.axes, controller, f, 0.12, seed=4)
     result = identify(synthetic_experiment(sweep, axes=one.axes), one)
+    assert not result.controller_differs
     assert list(result.planes) == ["x"]
     assert result.planes["x"].stiffness["kiA"].value == pytest.approx(181, rel=5e-4)
     assert result.planes["x"].cross_validation_fit_percent is None
     assert any("cross-validation" in w for w in result.warnings)
+
+
+def test_a_controller_that_is_not_the_datasheets_is_told(
+    experiment: Experiment, datasheet: Datasheet, truth: dict[str, PlaneModel], controller
+) -> None:
+    one = sheet_of_one_plane(replace(datasheet, numerator=tuple(1.05 * x for x in datasheet.numerator)))
+    f = experiment.main.frequency_hz[experiment.main.axis == 0]
+    sweep = synthetic_sweep({"x": truth["x"]}, one.axes, controller, f, 0.12, seed=4)
+    assert identify(synthetic_experiment(sweep, axes=one.axes), one).controller_differs
 
 
 def test_without_currents_the_amplifiers_are_taken_from_the_datasheet(

@@ -111,6 +111,18 @@ def test_a_value_beyond_its_tolerance_is_no_good_news(result, off, tone):
     assert ("The transverse inertia is 4.1 tolerances from the datasheet's value" in text) == (tone == "warn")
 
 
+def test_margins_of_a_controller_that_did_not_run_are_no_good_news(result):
+    own = (("fine", 40.0), ("bad", math.inf))
+    planes = {k: replace(p, zones_db=own, tests_passed=True) for k, p in result.planes.items()}
+    told = replace(result, planes=planes)
+    assert verdict(told)[0] == "good"
+    tone, text = verdict(replace(told, controller_differs=True))
+    assert tone == "warn"
+    assert "does not hold the control law of the datasheet" in text
+    assert told.document()["controller_as_stated"]
+    assert not replace(told, controller_differs=True).document()["controller_as_stated"]
+
+
 def test_deviations_are_told_as_what_they_are(page, result, measured):
     """A few parts in a million of ki, where a sensor's gain is known to a per cent."""
     with_these = "(one sigma) with the datasheet's mass, geometry and sensor gains"

@@ -39,6 +39,7 @@ def with_lost_samples(experiment: Experiment, block: int) -> Experiment:
 def test_a_sound_log_is_left_alone(experiment: Experiment, datasheet: Datasheet) -> None:
     found = check(experiment, datasheet)
     assert found.warnings == ()
+    assert not found.controller_differs
     assert found.chain.logging_offset_samples == 0
     for s, t in zip(found.experiment.sweeps, experiment.sweeps, strict=True):
         assert s is t
@@ -126,6 +127,7 @@ def test_too_few_blocks_are_kept_and_the_remedy_told(experiment: Experiment, dat
 def test_another_controller_is_told_and_the_log_left_as_it_is(experiment: Experiment, datasheet: Datasheet) -> None:
     stiffer = replace(datasheet, numerator=tuple(1.05 * x for x in datasheet.numerator))
     found = check(experiment, stiffer)
+    assert found.controller_differs
     assert found.chain.logging_offset_samples == 0
     (said,) = found.warnings
     assert all(axis in said for axis in datasheet.axes)
