@@ -146,8 +146,8 @@ def _of_the_planes(result: CommissioningResult) -> tuple[Tone, str]:
         )
     if result.controller_differs:
         text += (
-            " The log does not hold the control law of the datasheet, though, of which the loop's peak and its zone are: "
-            "another controller ran, or a signal is not logged as it had it."
+            " The log does not hold the control law of the datasheet, though, of which the loop's peak and its zone "
+            "are: another controller ran, or a signal is not logged as it had it."
         )
     if off := max(p.off_unseen for p in planes):
         return "warn", (

@@ -504,7 +504,7 @@ def test_a_page_that_was_left_listens_to_nothing(service, ids):
         page.open(f"{service.url}/#/job/{job.id}")
         page.until("document.querySelector('.state.running')", 5)
         page.open("about:blank")
-        page.run("history.back()")
+        page.back()
         page.until("document.querySelector('.state.running')", 5)
         with service.services.database.write() as session:
             row = session.get(JobRow, job.id)
@@ -631,7 +631,7 @@ def test_a_job_is_submitted_from_a_page_that_another_machine_shows_over_plain_ht
             page.run("document.querySelector('button.commission').click()")
             page.run("document.querySelector('dialog .go').click()")
             page.until("location.hash.startsWith('#/job/') && document.querySelector('.state.queued')")
-            page.run("history.back()")
+            page.back()
             page.until("document.querySelector('button.commission')")
         with service.services.database.read() as session:
             assert len(jobs.listed(session, "queued", "experiment", rig).items) == 2, "two wishes are two jobs"

@@ -59,6 +59,10 @@ class Tab:
         """Go to an address."""
         self._call("Page.navigate", {"url": url})
 
+    def back(self) -> None:
+        """To the page before; only after the answer, which would be lost with the page that sends it."""
+        self.run("void setTimeout(() => history.back())")
+
     def run(self, script: str) -> Any:
         """Value of an expression in the page."""
         answer = self._call("Runtime.evaluate", {"expression": script, "returnByValue": True, "awaitPromise": True})
