@@ -1,5 +1,6 @@
 """What the main sweep hardly shows, or not at all, but explains the other one: half of its lines are fitted too."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,21 +26,30 @@ LAG = {"time_constant_s": 2e-5, "delay_s": 0.0}
 QUIET_A, LOUD_A = 0.05, 0.15
 
 
-def seen_with(effects: dict[str, Values], alternative: tuple[str, Values]) -> tuple[Explained, Observation]:
-    """The plant by the plain twin of a quiet sweep, an alternative to it, and a loud sweep."""
+def by_the_plain_twin(
+    effects: dict[str, Values], path: str, logged: Callable[[Sweep], Sweep] = lambda sweep: sweep
+) -> tuple[Explained, Observation]:
+    """A part by the plain twin of a quiet sweep of a rig with ``effects``, and a loud sweep."""
     datasheet, truth = known_datasheet(seed=16)
     rig = with_effects(true_rig(truth), effects)
     quiet, loud = (experiment(rig, amplitude_a=a) for a in (QUIET_A, LOUD_A))
-    measured, datasheet = one_plane(replace(quiet, sweeps=(quiet.sweeps[0], loud.sweeps[1])), datasheet)
+    sweeps = (logged(quiet.sweeps[0]), logged(loud.sweeps[1]))
+    measured, datasheet = one_plane(replace(quiet, sweeps=sweeps), datasheet)
     nu = nuisance(datasheet)
     main, other = (observe(s, nu.rig) for s in measured.sweeps)
-    part = next(p for p in parts(nu, (main,)) if p.path == "plant")
+    part = next(p for p in parts(nu, (main,)) if p.path == path)
     ground = Ground(nu, part, (main,), np.zeros(len(nu)))
     with Fitter(1) as fitter:
         null, left = plain_twin(fitter, ground)
-    name, values = alternative
+    return Explained(ground, tuple(ranked(null, [])), left, left), other
+
+
+def seen_with(effects: dict[str, Values], alternative: tuple[str, Values]) -> tuple[Explained, Observation]:
+    """The plant by the plain twin of a quiet sweep, an alternative to it, and a loud sweep."""
+    plain, other = by_the_plain_twin(effects, "plant")
+    null, (name, values) = plain.null.candidate, alternative
     other_one = Candidate((name,), replace(null.fit, effects=(name,), values=(values,)), null.occam, ({},))
-    return Explained(ground, tuple(ranked(null, [other_one])), left, left), other
+    return replace(plain, order=tuple(ranked(null, [other_one]))), other
 
 
 def test_a_saturation_that_no_band_of_either_sweep_shows_is_told_by_the_louder_one() -> None:
@@ -65,18 +75,8 @@ def test_nothing_is_told(effects: dict[str, Values], alternative: tuple[str, Val
 def test_a_limit_of_the_louder_sweep_is_looked_for_though_nothing_explains_the_main_one(
     limit_a_per_s: float, is_there: bool
 ) -> None:
-    datasheet, truth = known_datasheet(seed=16)
     limit = {"amplifier_voltage_limit": {"slew_inverse_s_per_a": 1 / limit_a_per_s}}
-    quiet, loud = (experiment(with_effects(true_rig(truth), limit), amplitude_a=a) for a in (QUIET_A, LOUD_A))
-    sweeps = tuple(map(with_mutual_inductance, (quiet.sweeps[0], loud.sweeps[1])))
-    measured, datasheet = one_plane(replace(quiet, sweeps=sweeps), datasheet)
-    nu = nuisance(datasheet)
-    main, other = (observe(s, nu.rig) for s in measured.sweeps)
-    part = next(p for p in parts(nu, (main,)) if p.path == "amplifier")
-    ground = Ground(nu, part, (main,), np.zeros(len(nu)))
-    with Fitter(1) as fitter:
-        null, left = plain_twin(fitter, ground)
-    e = Explained(ground, tuple(ranked(null, [])), left, left)
+    e, other = by_the_plain_twin(limit, "amplifier", with_mutual_inductance)
     assert e.significance > SIGNIFICANT
     assert is_of_other_sweep(e, other) == is_there
 
