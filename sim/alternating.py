@@ -44,8 +44,9 @@ def windowed_amplitudes(x: Array, angle: float, harmonics: Index) -> tuple[Compl
     return np.asarray(each[:, 0]), np.asarray((within[..., None] * each).mean(axis=1))
 
 
-def whole_periods(samples: float, least: float) -> int:
-    """Number of samples, ``least`` or up to ten periods more, that is nearest to whole periods of so many samples."""
-    periods = np.ceil(least / samples) + np.arange(10)
+def whole_periods(samples: float, least: float, most: float) -> int:
+    """Number of samples from ``least`` to about ``most`` that is nearest to whole periods of so many samples."""
+    fewest = np.ceil(least / samples)
+    periods = np.arange(fewest, max(fewest, np.floor(most / samples)) + 1)
     misfit = np.abs(periods * samples - np.round(periods * samples))
     return round(float(periods[np.argmin(misfit)]) * samples)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numba
 import numpy as np
 import scipy.linalg
@@ -16,6 +19,8 @@ MOST_PERIODS = 40
 """Most periods for a current loop to settle: one that winds up is slow."""
 SETTLED = 1e-4
 """Change from period to period, relative to the largest swing that the limit lets through, that counts as settled."""
+TOGETHER = 1e-5
+"""Distance, relative to all that is asked for, at which two currents that began apart have become one."""
 
 _compiled = numba.njit(cache=True, nogil=True)
 
@@ -113,18 +118,42 @@ def slewing(
     return np.asarray(_slewing(asked, over, limit, acts, swing, begin[0], begin[1], rms))
 
 
-@_compiled
+class _Held(NamedTuple):
+    """A first-order amplifier of one axis at its limit, driven by a held signal; as `held_slewing` has them."""
+
+    period: float
+    late: float
+    lag_s: float
+    w: float
+    limit: float
+    noise: float
+    steps: int
+
+
 def held_slewing(
-    asked: Array, period: float, late: Array, lag_s: float, w: Array, limit: Array, steps: int, noise: Array
-) -> Array:  # pragma: no cover (compiled)
+    asked: Array,
+    settling: int,
+    period: float,
+    late: Array,
+    lag_s: float,
+    w: Array,
+    limit: Array,
+    steps: int,
+    noise: Array,
+) -> Array:
     """What a slew limit changes of the current of a first-order amplifier that a held signal drives, A, (K steps, n).
 
-    What is asked for jumps with the signal, so the slope does; between, i' = clip(w (asked - i)) in closed form. Begun
-    without a change; at the samples, and in equal steps between them.
+    What is asked for jumps with the signal, so the slope does; between, i' = clip(w (asked - i)) in closed form. At the
+    samples, and in equal steps between them.
+
+    Currents that begin apart never cross, and approach each other: between one that begins at the least and one that
+    begins at the most that is ever asked for lies the steady one. As many samples are left to them before the first one
+    returned as bring these two together to `TOGETHER`, ``settling`` at most.
 
     Parameters
     ----------
-    asked : (K + 1, n) current that the signal asks for in turn, A; the first one is of the sample before
+    asked : (settling + K + 1, n) current that the signal asks for in turn, A; the first one is of the sample before
+    settling : most samples before the first one returned
     period : of the samples, s
     late : (n,) how long after a sample its signal acts, s, less than a period
     lag_s : time constant of a lag between signal and amplifier, s, 0 for none
@@ -133,42 +162,69 @@ def held_slewing(
     steps : integration steps of a sample
     noise : (n,) root mean square of the slopes that noise asks for, A/s
     """
-    samples, axes = asked.shape[0] - 1, asked.shape[1]
-    h = period / steps
-    change = np.zeros((samples * steps, axes))
-    for a in range(axes):
-        if not limit[a] < np.inf:
-            continue
-        falls = np.exp(-w[a] * h)
-        lagged = i = free = asked[0, a]
-        for k in range(samples):
-            for s in range(steps):
-                change[k * steps + s, a] = i - free
-                old = min(max(late[a] - s * h, 0.0), h)
-                for part in range(2):
-                    goal, time = (asked[k, a], old) if part == 0 else (asked[k + 1, a], h - old)
-                    if time == 0.0:
-                        continue
-                    if lag_s > 0.0:
-                        kept = np.exp(-time / lag_s)
-                        mean = goal + (lagged - goal) * (1.0 - kept) * lag_s / time
-                        lagged = goal + (lagged - goal) * kept
-                    else:
-                        mean = goal
-                    left = falls if time == h else np.exp(-w[a] * time)
-                    free = mean + (free - mean) * left
-                    slope = w[a] * (mean - i)
-                    if noise[a] > 0.0:
-                        begins = _taken(slope, limit[a], noise[a])
-                        ends = _taken(slope * left - begins * time, limit[a], noise[a])
-                        i = mean + (i - mean) * left + 0.5 * time * (begins * left + ends)
-                        continue
-                    if abs(slope) > limit[a]:
-                        at_limit = min((abs(slope) / limit[a] - 1.0) / w[a], time)
-                        i += np.copysign(limit[a], slope) * at_limit
-                        left = np.exp(-w[a] * (time - at_limit))
-                    i = mean + (i - mean) * left
+    change = np.zeros(((asked.shape[0] - 1 - settling) * steps, asked.shape[1]))
+    for a in np.flatnonzero(np.isfinite(limit)):
+        amp = _Held(period, float(late[a]), float(lag_s), float(w[a]), float(limit[a]), float(noise[a]), steps)
+        linear = math.ceil(-math.log(TOGETHER) * (1 / amp.w + amp.lag_s) / period)  # until the linear one is steady
+        change[:, a] = _held_slewing(np.ascontiguousarray(asked[:, a]), settling, min(linear, settling), amp)
     return change
+
+
+@_compiled
+def _held_slewing(asked: Array, settling: int, fewest: int, amp: _Held) -> Array:  # pragma: no cover (compiled)
+    change = np.empty((asked.size - 1 - settling) * amp.steps)
+    least, most, nowhere, before = asked.min(), asked.max(), change[:0], fewest
+    while True:
+        begin = settling - before
+        low, high, free, lagged = least, most, asked[begin], asked[begin]
+        for k in range(begin, settling):
+            low, _, _ = _over_sample(low, free, lagged, asked[k], asked[k + 1], amp, nowhere)
+            high, free, lagged = _over_sample(high, free, lagged, asked[k], asked[k + 1], amp, nowhere)
+        if high - low <= TOGETHER * (most - least) or before == settling:
+            break
+        before = min(2 * before, settling)
+    i = 0.5 * (low + high)
+    for k in range(settling, asked.size - 1):
+        filled = change[(k - settling) * amp.steps : (k - settling + 1) * amp.steps]
+        i, free, lagged = _over_sample(i, free, lagged, asked[k], asked[k + 1], amp, filled)
+    return change
+
+
+@_compiled
+def _over_sample(
+    i: float, free: float, lagged: float, old: float, new: float, amp: _Held, change: Array
+) -> tuple[float, float, float]:  # pragma: no cover (compiled)
+    """The current, the one without a limit and the lag's output a sample later; ``change``, unless empty, is filled."""
+    h = amp.period / amp.steps
+    falls = np.exp(-amp.w * h)
+    for s in range(amp.steps):
+        if change.size:
+            change[s] = i - free
+        still = min(max(amp.late - s * h, 0.0), h)
+        for part in range(2):
+            goal, time = (old, still) if part == 0 else (new, h - still)
+            if time == 0.0:
+                continue
+            if amp.lag_s > 0.0:
+                kept = np.exp(-time / amp.lag_s)
+                mean = goal + (lagged - goal) * (1.0 - kept) * amp.lag_s / time
+                lagged = goal + (lagged - goal) * kept
+            else:
+                mean = goal
+            left = falls if time == h else np.exp(-amp.w * time)
+            free = mean + (free - mean) * left
+            slope = amp.w * (mean - i)
+            if amp.noise > 0.0:
+                begins = _taken(slope, amp.limit, amp.noise)
+                ends = _taken(slope * left - begins * time, amp.limit, amp.noise)
+                i = mean + (i - mean) * left + 0.5 * time * (begins * left + ends)
+                continue
+            if abs(slope) > amp.limit:
+                at_limit = min((abs(slope) / amp.limit - 1.0) / amp.w, time)
+                i += np.copysign(amp.limit, slope) * at_limit
+                left = np.exp(-amp.w * (time - at_limit))
+            i = mean + (i - mean) * left
+    return i, free, lagged
 
 
 @_compiled

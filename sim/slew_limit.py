@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from sim import amplifier, periodic
 from sim.alternating import Complex, amplitudes, period_samples, whole_periods, windowed_amplitudes
@@ -19,8 +21,13 @@ HELD_STEPS, HELD_STEPS_OF_LAG = 8, 16
 """Time steps per sample of a first-order amplifier, whose slope jumps with the held signal; with a lag before it."""
 NOISE_DEVIATIONS = 4.0
 """Standard deviations of noise in the slope within which it reaches a limit, but for 6e-5 of the time."""
-HELD_PERIODS, HELD_SETTLING, HELD_SAMPLES = 6, 200, 300
-"""Fewest periods, and fewest samples, until such an amplifier is steady to some 1e-5; fewest samples analysed then."""
+HELD_PERIODS, HELD_SAMPLES = 2, 600
+"""Fewest periods and samples of such an amplifier that are analysed: a Hann window parts harmonics over two periods,
+and so many samples meet a jump at all its places in a period."""
+SETTLING_PERIODS, SETTLING_SAMPLES = 6, 200
+"""Periods, and fewest samples, in which it is steady to some 1e-5 even where it is almost always at its limit."""
+GENTLE = 0.1
+"""Slope, relative to that of noise, below which a limit that noise alone reaches is linear to 1e-4 of the current."""
 
 
 def second_order(
@@ -117,14 +124,35 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
     late_s = np.maximum(delay_s - whole * period, 0.0)
     steps = HELD_STEPS_OF_LAG if amp.lag_s > 0 else HELD_STEPS
     sampled, flowing, orders = np.zeros_like(U), np.zeros_like(U), np.array(harmonics)
+    gentle = np.isfinite(limit) & (steepest < GENTLE * noise)
+    limit = np.where(gentle, np.inf, limit)
     for p in np.flatnonzero(np.isfinite(limit).any(axis=1)):
         angle = float(omega[p, harmonics.index(1)]) * period
         samples = 2 * np.pi / angle  # of a period
-        settling = int(np.ceil(max(HELD_PERIODS * samples, HELD_SETTLING)))
-        n = whole_periods(samples, max(HELD_PERIODS * samples, HELD_SAMPLES))
+        settling = math.ceil(max(SETTLING_PERIODS * samples, SETTLING_SAMPLES))
+        n = whole_periods(samples, max(HELD_PERIODS * samples, HELD_SAMPLES), 2 * HELD_SAMPLES)
         turns = np.exp(1j * angle * np.outer(np.arange(-settling - 1, n), orders))
         held = (turns @ (asked[p] * np.exp(-1j * angle * np.outer(orders, whole)))).real
-        change = periodic.held_slewing(held, period, late_s, amp.lag_s, w, limit[p], steps, noise)
-        steady = change.reshape(-1, steps, change.shape[1])[settling:]
-        sampled[p], flowing[p] = windowed_amplitudes(steady, angle, orders)
+        change = periodic.held_slewing(held, settling, period, late_s, amp.lag_s, w, limit[p], steps, noise)
+        sampled[p], flowing[p] = windowed_amplitudes(change.reshape(n, steps, -1), angle, orders)
+    if gentle.any():
+        slower = _slowed_by_noise(amp)
+        lines, shape = omega.ravel(), (*omega.shape, len(w))
+        at_samples = [amplifier.sampled(of, lines, period, delay_s).reshape(shape) for of in (amp, slower)]
+        within = [amplifier.continuous(of, lines).reshape(shape) for of in (amp, slower)]
+        hold = amplifier.hold(lines, period).reshape(omega.shape)[..., None]
+        late = np.exp(-1j * omega[..., None] * delay_s)
+        driven = np.where(gentle[:, None], asked / amp.gain, 0.0)
+        sampled += (at_samples[1] - at_samples[0]) * driven
+        flowing += (within[1] - within[0]) * hold * late * driven
     return sampled, flowing
+
+
+def _slowed_by_noise(amp: Amplifiers) -> Amplifiers:
+    """First-order amplifiers that pass on as much of a small slope as a limit lets through that noise reaches.
+
+    That share is the chance not to be at the limit (Booton, IRE Trans. Circuit Theory 1, 1954, pp. 9-18).
+    """
+    with np.errstate(divide="ignore"):
+        share = special.erf(1 / (np.sqrt(2) * np.asarray(amp.slope_noise_share)))
+    return replace(amp, natural_frequency_rad_s=amp.natural_frequency_rad_s * share)
