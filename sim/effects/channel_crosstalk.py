@@ -70,7 +70,8 @@ EFFECT = Effect(
     law="i_A = A (u_A + c_AB u_B), i_B = A (u_B + c_BA u_A), in each plane; shares c (1 + p) in x and c (1 - p) in y; "
     "at either bearing c_xy u_y in i_x, c_yx u_x in i_y, and the same from one bearing to the other",
     signature="off-diagonal of i/u, within a plane or a bearing as a rule, in phase with the diagonal",
-    aliases=(),
-    separated_by="logged i; without it the off-diagonals of y/u, which sensor position and mode shapes change too",
+    aliases=("magnetic_cross_coupling",),
+    separated_by="logged i; without it the off-diagonals of y/u, which sensor position and mode shapes change too, and "
+    "turned magnets as crosstalk between the planes",
     source="Ott, Electromagnetic Compatibility Engineering, Wiley 2009, section 2.1 (crosstalk between channels)",
 )

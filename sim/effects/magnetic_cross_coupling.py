@@ -44,8 +44,9 @@ EFFECT = Effect(
     law="f_x = cos(phi) f0_x + (c + sin(phi)) f0_y, f_y = (c - sin(phi)) f0_x + cos(phi) f0_y, "
     "f0 of the uncoupled magnets; where w of them is turned whole, f + w (R ks R^T - R ks) x, R the matrix above",
     signature="off-diagonal x-y of y/i at standstill, at all frequencies in proportion to the diagonal",
-    aliases=("cross_coupled_stiffness", "gyroscopic_coupling"),
-    separated_by="a seal is antisymmetric and quasi-static only; gyroscopic coupling vanishes at standstill",
+    aliases=("cross_coupled_stiffness", "gyroscopic_coupling", "channel_crosstalk"),
+    separated_by="a seal is antisymmetric and quasi-static only; gyroscopic coupling vanishes at standstill; logged i "
+    "has the crosstalk",
     source="Meeker, Maslen and Noh, Augmented circuit model for magnetic bearings including eddy currents, fringing "
     "and leakage, IEEE Trans. Magnetics 32, 1996, pp. 3219-3227",
     needs_axes=4,

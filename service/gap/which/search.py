@@ -181,6 +181,8 @@ class _Search:
         self._add([*uneven, *woken])
         if best not in wider and differ_by_alias(best, self.order[0].candidate):  # its alias leads by a wider law alone
             self._add(with_optional_parameters(self.fitter, self.ground, [best]))
+        if rivals := [c for c in woken if differ_by_alias(c, self.order[0].candidate)]:
+            self._add(with_uneven_effects(self.fitter, self.ground, self.null, rivals))
         if needed and leaves_to_explain(self.ground, self.order[0]):
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)

@@ -1,5 +1,7 @@
 """What is wrong at one bearing or in one axis alone is named as what it is, and where it is."""
 
+from dataclasses import replace
+
 import pytest
 
 from service.gap.diagnose import diagnose
@@ -84,3 +86,14 @@ def test_amplifiers_that_are_faster_in_y_alone_are_told_with_the_plane() -> None
     found = d.chosen.fit.values[0]
     assert found["plane_imbalance"] == pytest.approx(-1.0, abs=0.1)
     assert found["frequency_change"] == pytest.approx(0.115, rel=0.1)
+
+
+def test_magnets_turned_at_one_bearing_are_no_crosstalk_where_no_currents_are_logged() -> None:
+    """Crosstalk between the planes, as much one way as the other is against it, looks alike to all that is logged."""
+    datasheet, truth = known_datasheet(seed=69)
+    values = {"rotation_rad": 0.1, "symmetric_share": 0.01, "turned_whole": 1.0, "end_imbalance": 0.9}
+    e = experiment(with_effects(true_rig(truth), {"magnetic_cross_coupling": values}))
+    d = diagnose(replace(e, sweeps=tuple(replace(s, I=None) for s in e.sweeps)), datasheet)
+    assert d.verdict.effects == ("magnetic_cross_coupling",)
+    found = d.chosen.fit.values[0]
+    assert (found["rotation_rad"], found["end_imbalance"]) == pytest.approx((0.1, 0.9), rel=0.02)
