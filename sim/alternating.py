@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,18 +33,50 @@ def amplitudes(x: Array, harmonics: tuple[int, ...]) -> Complex:
     return np.asarray(parts.view(complex).reshape(n, P, len(harmonics)).transpose(1, 2, 0))
 
 
-def windowed_amplitudes(x: Array, angle: float, harmonics: Index) -> tuple[Complex, Complex]:
-    """Complex amplitudes, (H, n), at the samples alone and with the steps between them, of x (N, steps, n).
+@dataclass(frozen=True)
+class Record:
+    """The harmonics of samples that lie ``angle`` of a fundamental apart: any number of them, also none per period.
 
-    Samples are ``angle`` of a fundamental apart; a Hann window takes what folds back between the harmonics for nothing.
+    ``before`` samples precede the ``n`` that are analysed.
     """
-    N, steps, n = x.shape
-    weights = np.sin(np.pi * np.arange(N) / N) ** 2 * 4 / N
-    basis = np.exp(-1j * angle * np.outer(harmonics, np.arange(N))) * weights
-    basis[harmonics == 0] /= 2
-    each = (basis @ x.reshape(N, steps * n)).reshape(len(harmonics), steps, n)
-    within = np.exp(-1j * angle / steps * np.outer(harmonics, np.arange(steps)))
-    return np.asarray(each[:, 0]), np.asarray((within[..., None] * each).mean(axis=1))
+
+    angle: float
+    harmonics: tuple[int, ...]
+    before: int
+    n: int
+
+    @staticmethod
+    @lru_cache(maxsize=256)
+    def of(angle: float, harmonics: tuple[int, ...], before: int, n: int) -> Record:
+        """One that is shared, as a fit asks for the same lines again and again."""
+        return Record(angle, harmonics, before, n)
+
+    @cached_property
+    def _turns(self) -> Complex:
+        return np.asarray(np.exp(1j * self.angle * np.outer(np.arange(-self.before, self.n), self.harmonics)))
+
+    @cached_property
+    def _window(self) -> Array:
+        """Real and imaginary parts of what amplitudes weigh the samples with, (2 H, n).
+
+        A Hann window takes what folds back between the harmonics for nothing.
+        """
+        weights = np.sin(np.pi * np.arange(self.n) / self.n) ** 2 * 4 / self.n
+        basis = self._turns[self.before :].conj().T * weights
+        basis[np.array(self.harmonics) == 0] /= 2
+        return np.concatenate([basis.real, basis.imag])
+
+    def samples(self, X: Complex) -> Array:
+        """Samples, (before + n, axes), of amplitudes (H, axes); the first one analysed is at time zero."""
+        return np.asarray(self._turns.real @ X.real - self._turns.imag @ X.imag)
+
+    def amplitudes(self, x: Array) -> tuple[Complex, Complex]:
+        """Complex amplitudes, (H, axes), at the samples alone and with the steps between them, of (n, steps, axes)."""
+        N, steps, axes = x.shape
+        real, imag = (self._window @ x.reshape(N, steps * axes)).reshape(2, -1, steps, axes)
+        each, orders = real + 1j * imag, np.array(self.harmonics)
+        within = np.exp(-1j * self.angle / steps * np.outer(orders, np.arange(steps)))
+        return each[:, 0], np.asarray((within[..., None] * each).mean(axis=1))
 
 
 def whole_periods(samples: float, least: float, most: float) -> int:

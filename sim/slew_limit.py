@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sim import amplifier, periodic
-from sim.alternating import Complex, amplitudes, period_samples, whole_periods, windowed_amplitudes
+from sim.alternating import Complex, Record, amplitudes, period_samples, whole_periods
 from sim.rig import Amplifiers, Array, Rig
 
 Mask = NDArray[np.bool_]
@@ -21,9 +21,9 @@ HELD_STEPS, HELD_STEPS_OF_LAG = 8, 16
 """Time steps per sample of a first-order amplifier, whose slope jumps with the held signal; with a lag before it."""
 NOISE_DEVIATIONS = 4.0
 """Standard deviations of noise in the slope within which it reaches a limit, but for 6e-5 of the time."""
-HELD_PERIODS, HELD_SAMPLES = 2, 600
+HELD_PERIODS, HELD_SAMPLES, HELD_SEARCHED = 2, 600, 100
 """Fewest periods and samples of such an amplifier that are analysed: a Hann window parts harmonics over two periods,
-and so many samples meet a jump at all its places in a period."""
+and so many samples meet a jump at all its places in a period. Of so many more the number nearest to whole periods."""
 SETTLING_PERIODS, SETTLING_SAMPLES = 6, 200
 """Periods, and fewest samples, in which it is steady to some 1e-5 even where it is almost always at its limit."""
 GENTLE = 0.1
@@ -130,11 +130,11 @@ def first_order(rig: Rig, omega: Array, harmonics: tuple[int, ...], U: Complex) 
         angle = float(omega[p, harmonics.index(1)]) * period
         samples = 2 * np.pi / angle  # of a period
         settling = math.ceil(max(SETTLING_PERIODS * samples, SETTLING_SAMPLES))
-        n = whole_periods(samples, max(HELD_PERIODS * samples, HELD_SAMPLES), 2 * HELD_SAMPLES)
-        turns = np.exp(1j * angle * np.outer(np.arange(-settling - 1, n), orders))
-        held = (turns @ (asked[p] * np.exp(-1j * angle * np.outer(orders, whole)))).real
+        n = whole_periods(samples, max(HELD_PERIODS * samples, HELD_SAMPLES), HELD_SAMPLES + HELD_SEARCHED)
+        record = Record.of(angle, harmonics, settling + 1, n)
+        held = record.samples(asked[p] * np.exp(-1j * angle * np.outer(orders, whole)))
         change = periodic.held_slewing(held, settling, period, late_s, amp.lag_s, w, limit[p], steps, noise)
-        sampled[p], flowing[p] = windowed_amplitudes(change.reshape(n, steps, -1), angle, orders)
+        sampled[p], flowing[p] = record.amplitudes(change.reshape(n, steps, -1))
     if gentle.any():
         slower = _slowed_by_noise(amp)
         lines, shape = omega.ravel(), (*omega.shape, len(w))
