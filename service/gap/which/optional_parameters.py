@@ -54,6 +54,18 @@ def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Can
     return [c for c in fitter.run(task for c in found for task in _tasks(ground, c)) if cost(c) < before[c.effects]]
 
 
+def from_the_datasheet(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:
+    """Tasks to fit dormant parameters where nuisance values had made up for what the basic law lacks.
+
+    These are further off than their tolerances have them then, and the fits of `with_optional_parameters`, which begin
+    with them, may not find back. Linear effects only: what the datasheet's values make of others takes too long.
+    """
+    for c in found:
+        if c.fit.penalty > len(c.fit.active) and not any(CATALOGUE[name].nonlinear for name in c.effects):
+            for task in _tasks(ground, c):
+                yield replace(task, theta=ground.theta, stages=(*rough_stages(ground), EXACT))
+
+
 def softer_in_one_plane(
     ground: Ground, null: Candidate, plain: Sequence[Complex], found: Sequence[Candidate]
 ) -> Iterator[Task]:

@@ -31,6 +31,7 @@ from service.gap.which.mixtures import (
 )
 from service.gap.which.one_more_effect import residuals, rough_stages
 from service.gap.which.optional_parameters import (
+    from_the_datasheet,
     on_modes_that_split,
     on_stops_off_centre,
     softer_in_one_plane,
@@ -48,7 +49,7 @@ from service.gap.which.refits import (
     refitted,
     refitted_from_best,
 )
-from service.gap.which.uneven_effects import with_uneven_effects
+from service.gap.which.uneven_effects import on_one_side, with_uneven_effects
 from sim.effects import CATALOGUE
 
 Real = NDArray[np.float64]
@@ -184,12 +185,14 @@ class _Search:
         if rivals := [c for c in woken if differ_by_alias(c, self.order[0].candidate)]:
             self._add(with_uneven_effects(self.fitter, self.ground, self.null, rivals))
         if needed and leaves_to_explain(self.ground, self.order[0]):
+            woken += self.fitter.run(from_the_datasheet(self.ground, wider))
             # one axis alone may need all of the law, of which an even effect explains too little to be worth its price
             uneven = with_uneven_effects(self.fitter, self.ground, self.null, woken)
             # filters that the datasheet knows are tuned otherwise sooner than there is one more
             own = [*with_plays_of_uneven_density(self.ground, wider)]
             own += [*with_an_added_filter(self.ground, self.null, wider), *with_amplifiers_apart(self.ground, wider)]
-            self._add([*uneven, *self.fitter.run(own)])
+            own += [*on_one_side(self.ground, self.order[0].candidate)]
+            self._add([*uneven, *woken, *self.fitter.run(own)])
 
     def add_lag_of_displacement(self) -> None:
         """Add the law of eddy currents in the flux of a moving rotor, too, where the best explanation names them."""

@@ -7,7 +7,7 @@ effect, whose response is nearly the sum of its responses in each axis alone; on
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
@@ -25,6 +25,7 @@ from service.gap.fitting.predict import centred
 from service.gap.fitting.stage import EXACT
 from service.gap.fitting.unknowns import TOLERANCE_BOUND, dormant_at_null
 from service.gap.weighing.ranking import noise_levels
+from service.gap.which.one_more_effect import rough_stages
 from service.gap.which.refits import cost
 from sim import imbalance
 from sim.effect import Effect
@@ -70,6 +71,25 @@ def with_uneven_effects(fitter: Fitter, ground: Ground, null: Candidate, found: 
     return [c for c in fitter.run(tasks) if cost(c) < cost(best)]
 
 
+def on_one_side(ground: Ground, c: Candidate) -> Iterator[Task]:
+    """Tasks to fit an explanation with one effect at one bearing or in one plane alone, from the datasheet's values.
+
+    Where these values made up for what the even effect has too much on one side, they are far from the right ones, and
+    the regression of `with_uneven_effects` does not lead there.
+    """
+    for at, name in enumerate(c.effects):
+        if name in _may_be_uneven(c):
+            effect = CATALOGUE[name].of(ground.nuisance.rig)
+            half = {**c.fit.values[at], **_scaled(effect, c.fit.values[at], 0.5)}  # of the mean of both sides
+            sides = [{p: side} for p in _imbalances(effect, ground) for side in (1.0, -1.0)]
+            starts = [tuple(half | one if k == at else v for k, v in enumerate(c.fit.values)) for one in sides]
+            yield Task(ground, c.effects, tuple(starts), ground.theta, (*rough_stages(ground), EXACT))
+
+
+def _imbalances(effect: Effect, ground: Ground) -> list[str]:
+    return [p.name for p in effect.parameters if p.name in imbalance.NAMES][: ground.nuisance.rig.n_planes]
+
+
 def _may_be_uneven(c: Candidate) -> list[str]:
     """Effects of an explanation that have dormant imbalances."""
     may = {name for name, p in dormant_at_null(c.effects, c.fit.values) if p in imbalance.NAMES}
@@ -91,7 +111,7 @@ def _promise(ground: Ground, c: Candidate, name: str) -> _Promise | None:
     """
     at, effect, problem = c.effects.index(name), CATALOGUE[name].of(ground.nuisance.rig), Problem.of(ground, c.fit)
     values, without, linear = c.fit.values[at], _without(name, ground, c), problem.linearised(c.fit)
-    imbalances = [p.name for p in effect.parameters if p.name in imbalance.NAMES][: ground.nuisance.rig.n_planes]
+    imbalances = _imbalances(effect, ground)
     corners = np.array(list(product((1.0, -1.0), repeat=len(imbalances))))  # each is the effect in one axis alone
     one_axis = _scaled(effect, values, 1 / len(corners))
     rigs = [effect.on(without, **one_axis, **dict(zip(imbalances, corner, strict=True))) for corner in corners.tolist()]

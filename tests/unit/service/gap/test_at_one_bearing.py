@@ -97,3 +97,14 @@ def test_magnets_turned_at_one_bearing_are_no_crosstalk_where_no_currents_are_lo
     assert d.verdict.effects == ("magnetic_cross_coupling",)
     found = d.chosen.fit.values[0]
     assert (found["rotation_rad"], found["end_imbalance"]) == pytest.approx((0.1, 0.9), rel=0.02)
+
+
+def test_crosstalk_in_one_plane_is_told_though_the_datasheet_had_made_up_for_it() -> None:
+    """Without currents, crosstalk of both planes beside values off by tolerances is a valley of its own."""
+    datasheet, truth = known_datasheet(seed=77)
+    values = {"share_ab": 0.0, "share_ba": 0.015, "share_yx_A": 0.02, "plane_imbalance": 1.0}
+    e = experiment(with_effects(true_rig(truth), {"channel_crosstalk": values}))
+    d = diagnose(replace(e, sweeps=tuple(replace(s, I=None) for s in e.sweeps)), datasheet)
+    assert d.verdict.effects == ("channel_crosstalk",)
+    found = d.chosen.fit.values[0]
+    assert {name: found[name] for name in values} == pytest.approx(values, rel=0.02, abs=2e-4)
