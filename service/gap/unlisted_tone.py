@@ -38,6 +38,13 @@ FEWEST_LINES = 3
 BY_CHANCE_ALIKE = 1e-4
 """Probability at which amplitudes of noise that a resonance makes narrow are as much alike in all points of both sweeps
 as those of a tone. A resonance that rings has amplitudes of what is excited, and is less alike yet."""
+LEAKS = 8.0
+"""Distance from a tone, in resolutions of a block, up to which a strong one is searched by its leakage: lines are far
+apart at low frequencies."""
+ALSO_TURNS = 0.5
+"""Log probability, relative to the least one, up to which a frequency's phases may be those of the same leakage."""
+FALLS_ALIKE = 0.95
+"""Share of the leakage that must fall off as a tone's does."""
 STRONG = 0.5
 """Distance from a tone, in resolutions of a block, up to which its leakage is strong and tells its amplitude."""
 FEWEST_BLOCKS = 4
@@ -72,28 +79,68 @@ def unlisted_tone(sources: Sequence[Interference], main: Sweep, other: Sweep, ri
     ``other`` has to show it where its lines come near enough.
     """
     main, other = usable(main), usable(other)
-    if not main.in_sequence or main.block_samples is None or main.Y.shape[1] < FEWEST_BLOCKS:
+    if not _in_blocks(main):
         return None
-    here = _Heard.of(main, rig, at_speed(sources, main.speed_rad_s))
+    here, there = (
+        _Heard.of(s, rig, at_speed(sources, s.speed_rad_s)) if _in_blocks(s) else None for s in (main, other)
+    )
+    assert here is not None
     step = resolution_hz(main) / COARSE
     searched = np.arange(resolution_hz(main), here.at_hz.max(initial=0.0), step)
-    searched = searched[~_listed(searched, sources, (main, other), resolution_hz(main))]
     if not len(searched):
         return None
-    chance = here.log_chance(searched)
+    listed = _listed(searched, sources, (main, other), resolution_hz(main))
+    far = here.log_chance(searched, LEAKS)
+    return _near_lines(here, there, searched, listed, far) or _by_leakage(here, there, searched, listed, far)
+
+
+def _in_blocks(sweep: Sweep) -> bool:
+    return sweep.in_sequence and sweep.block_samples is not None and sweep.Y.shape[1] >= FEWEST_BLOCKS
+
+
+def _near_lines(here: _Heard, there: _Heard | None, searched: Real, listed: Mask, far: Real) -> Tone | None:
+    """A tone that lines come near to. Its power tells it from a resonance; ``far`` its leakage from a listed tone's."""
+    chance = np.where(listed, 0.0, here.log_chance(searched))
     best = int(np.argmin(chance))
     if chance[best] + np.log(len(searched)) > np.log(FALSE_ALARM):
         return None
-    finer = searched[best] + step * np.linspace(-1, 1, 2 * FINER // COARSE + 1)
+    if far[listed].min(initial=0.0) < far[best]:  # whose leakage turns alike at whole turns a block from it
+        return None
+    finer = _about(searched, best)
     hz = float(finer[np.argmin(here.log_chance(finer))])
     powers = [here.powers(hz)]
-    if other.in_sequence and other.block_samples is not None and other.Y.shape[1] >= FEWEST_BLOCKS:
-        there = _Heard.of(other, rig, at_speed(sources, other.speed_rad_s))
+    if there is not None:
         if there.lines_near(hz) and there.log_chance(np.array([hz]))[0] > np.log(ALSO_HEARD):
             return None
         powers.append(there.powers(hz))
     power = np.concatenate(powers)
     return Tone(hz, np.sqrt(power.mean(axis=0))) if _alike(power.sum(axis=1)) else None
+
+
+def _by_leakage(here: _Heard, there: _Heard | None, searched: Real, listed: Mask, far: Real) -> Tone | None:
+    """A loud tone that no lines come near to: at low frequencies they are far apart, and blocks are long.
+
+    Its leakage turns alike at frequencies that are whole turns a block apart, but how it falls off with the distance is
+    that of one alone; and that of a resonance also differs with what is excited.
+    """
+    best = int(np.argmin(far))
+    if far[best] + np.log(len(searched)) > np.log(FALSE_ALARM):
+        return None
+    turning = np.flatnonzero(far < ALSO_TURNS * far[best])
+    place = int(max(turning, key=lambda k: here.fall(float(searched[k]))[0]))
+    if listed[place]:
+        return None
+    finer = _about(searched, place)
+    hz = float(finer[np.argmin(here.log_chance(finer, LEAKS))])
+    falls = [heard.fall(hz) for heard in (here, there) if heard is not None]
+    alike = all(share > FALLS_ALIKE for share, _ in falls)
+    return Tone(hz, np.mean([amplitude for _, amplitude in falls], axis=0)) if alike else None
+
+
+def _about(searched: Real, k: int) -> Real:
+    """Finer frequencies about one that was searched."""
+    step = searched[1] - searched[0] if len(searched) > 1 else 0.0
+    return np.asarray(searched[k] + step * np.linspace(-1, 1, 2 * FINER // COARSE + 1))
 
 
 def _alike(power: Real) -> bool:
@@ -142,9 +189,9 @@ class _Heard:
         at = sweep.frequency_hz[p] * np.array(sweep.harmonics)[h]
         return cls(at, sweep.block_samples[p] / sweep.sample_rate_hz, scatter, by.select(p))
 
-    def _near(self, hz: Real) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _near(self, hz: Real, lobes: float = MAIN_LOBE) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs of frequencies and cells that are near and turn enough from block to block: indices of each."""
-        reach = MAIN_LOBE / self.block_s
+        reach = lobes / self.block_s
         low, high = np.searchsorted(hz, self.at_hz - reach), np.searchsorted(hz, self.at_hz + reach)
         count = high - low
         cell = np.repeat(np.arange(len(count)), count)
@@ -164,12 +211,13 @@ class _Heard:
         share = (np.abs(along) ** 2).sum(axis=1) * size / np.maximum(whole, 1e-300)
         return along, np.clip(share, 0.0, 1 - 1e-12), size
 
-    def log_chance(self, hz: Real) -> Real:
+    def log_chance(self, hz: Real, lobes: float = MAIN_LOBE) -> Real:
         """Log probability (F,), at most, of noise to have as much of a tone at the frequencies (F,), which ascend.
 
+        In cells up to so many ``lobes``, resolutions of a block, from a frequency.
         By Chernoff's bound of a gamma distribution, as the probability itself may be smaller than a number can be.
         """
-        f, cell = self._near(hz)
+        f, cell = self._near(hz, lobes)
         _, share, size = self._along(hz[f], cell)
         own = size > OWN_SHARE * self.scatter.shape[1]
         f, cell, share = f[own], cell[own], share[own]
@@ -184,6 +232,18 @@ class _Heard:
         """Whether enough lines come near a frequency for `log_chance`."""
         _, cell = self._near(np.array([hz]))
         return len(np.unique(self.at_hz[cell])) >= FEWEST_LINES
+
+    def fall(self, hz: float) -> tuple[float, Real]:
+        """How much of a tone's leakage into all cells that it reaches falls off with the distance as a tone's does.
+
+        With its amplitude (n,). Blocks are not windowed: a tone d resolutions from a cell leaks to it by sinc(d).
+        """
+        _, cell = self._near(np.array([hz]), LEAKS)
+        along, _, _ = self._along(np.full(len(cell), hz), cell)
+        leak = np.abs(np.sinc((self.at_hz[cell] - hz) * self.block_s[cell]))
+        amplitude = (np.abs(along) * leak[:, None]).sum(axis=0) / max((leak**2).sum(), 1e-12)
+        whole = float((np.abs(along) ** 2).sum())
+        return float((amplitude**2).sum() * (leak**2).sum()) / max(whole, 1e-300), amplitude
 
     def powers(self, hz: float) -> Real:
         """Squared amplitudes (K, n) of a tone at a frequency in all cells that it leaks strongly to, noise included."""

@@ -30,10 +30,27 @@ def test_a_tone_is_found_where_it_is_and_as_large_as_it_is(hz: float) -> None:
     assert " um in " in tone.in_words(AXES)
 
 
+@pytest.mark.parametrize("hz", [141.3, 171.7, 213.3])
+def test_a_loud_tone_between_lines_is_found_by_its_leakage(hz: float) -> None:
+    """In blocks of 0.5 s lines are too far apart for three to come near; phases alone fit other frequencies, too."""
+    main, other = (played(3e-7, hz, seed, block_s=0.5)[0] for seed in (1, 2))
+    tone = unlisted_tone((), main, other, RIG)
+    assert tone is not None
+    assert tone.frequency_hz == pytest.approx(hz, abs=0.01)
+    assert tone.amplitude_m == pytest.approx(np.full(4, 3e-7), rel=0.02)
+
+
+@pytest.mark.parametrize("hz", [141.3, 171.7, 213.3])
+def test_the_leakage_of_a_listed_tone_is_no_other_one(hz: float) -> None:
+    main, other = (replace(played(3e-7, hz, s, block_s=0.5)[0], speed_rad_s=np.pi * hz) for s in (1, 2))
+    assert unlisted_tone((), main, other, RIG) is None
+
+
 def test_noise_has_none() -> None:
     for seed in range(5):
-        quiet = [played(0.0, 50.0, seed=2 * seed + k)[1] for k in range(2)]
-        assert unlisted_tone((), *quiet, RIG) is None
+        for block_s in (0.05, 0.5):
+            quiet = [played(0.0, 50.0, seed=2 * seed + k, block_s=block_s)[1] for k in range(2)]
+            assert unlisted_tone((), *quiet, RIG) is None
 
 
 @pytest.mark.parametrize("hz", [50.0, 150.0, 46.0, 92.0])
@@ -48,9 +65,9 @@ def test_what_the_other_sweep_does_not_show_is_none() -> None:
     assert unlisted_tone((), main, replace(other, block_samples=None), RIG) is not None
 
 
-def resonating(hz: float, damping_ratio: float, seed: int, rings: bool) -> Sweep:
+def resonating(hz: float, damping_ratio: float, seed: int, rings: bool, block_s: float = 0.05) -> Sweep:
     """A sweep whose blocks have a resonance: of the step to each point, in its own size, or driven by noise."""
-    _, quiet = played(0.0, hz, seed)
+    _, quiet = played(0.0, hz, seed, block_s)
     rng = np.random.default_rng(seed)
     Y, rate = quiet.Y.copy(), quiet.sample_rate_hz
     assert quiet.block_samples is not None
@@ -78,6 +95,14 @@ def test_a_resonance_is_no_tone(hz: float, damping_ratio: float, rings: bool) ->
     for seed in range(2):
         sweeps = (resonating(hz, damping_ratio, 2 * seed + k, rings) for k in (1, 2))
         assert unlisted_tone((), *sweeps, RIG) is None
+
+
+@pytest.mark.parametrize(("rings", "damping_ratio"), [(True, 1e-4), (True, 1e-3), (False, 1e-4)])
+def test_nor_is_a_loud_one_whose_leakage_reaches_far(rings: bool, damping_ratio: float) -> None:
+    quiet = [played(0.0, 131.0, seed, 0.3)[1] for seed in (1, 2)]
+    faint = [resonating(131.0, damping_ratio, seed, rings, 0.3) for seed in (1, 2)]
+    loud = [replace(s, Y=q.Y + 100 * (s.Y - q.Y)) for s, q in zip(faint, quiet, strict=True)]
+    assert unlisted_tone((), loud[0], loud[1], RIG) is None
 
 
 def test_it_is_none_of_these_where_nothing_else_is_wrong_and_effects_stand_beside_it() -> None:
