@@ -163,6 +163,7 @@ def _diagnosis(
         next_experiment=proposal.document() if proposal else None,
         discrepancy=discrepancy(found.parts, where.blamed, data.unseen) if verdict.kind == "none_of_these" else None,
         datasheet_off=() if leaves_some(verdict, found.parts) else tuple(nu.clearly_off(chosen.fit.theta)),
+        beyond_tolerance=tuple(nu.far_off(chosen.fit.theta)),
     )
     notes = (*data.notes, *found.notes, *runout_notes(data.sources), *not_weighed(fitter.lost, found.parts))
     return replace(diagnosis, notes=(*notes, *_notes(diagnosis, data, found), *_undecided(diagnosis, pair)))
@@ -230,8 +231,9 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
         yield from unseen_modes(nu.rig, (d.observation, d.held_out))
     if not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
-    if far := nu.far_off(d.chosen.fit.theta):
-        yield f"the datasheet is off beyond its tolerances: {values_off(far, leaves_some(verdict, found.parts))}"
+    if d.beyond_tolerance:
+        values = values_off(d.beyond_tolerance, leaves_some(verdict, found.parts))
+        yield f"the datasheet is off beyond its tolerances: {values}"
     if d.within_the_datasheet and (off := nu.far_off(d.null.fit.theta, OFF_TOLERANCES)):
         yield f"without an effect the datasheet would be off by more than a tolerance: {', '.join(off)}"
 

@@ -75,6 +75,8 @@ class Diagnosis:
     """where nothing explains the gap, its shape over frequency, amplitude and channel"""
     datasheet_off: tuple[str, ...] = ()
     """values by which the datasheet is off beyond doubt in the chosen twin, in words, the farthest first"""
+    beyond_tolerance: tuple[str, ...] = ()
+    """all values that lie beyond their tolerances there, in the same words"""
     of: dict[str, str] = field(default_factory=dict)
     """digests of the inputs: `origin.origin`"""
 

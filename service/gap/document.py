@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -205,6 +205,11 @@ def alike(d: Diagnosis) -> tuple[list[str], list[str]]:
     return rivals, unlikely
 
 
+def _and_more(words: Sequence[str]) -> str:
+    """The first of some words, and how many more there are."""
+    return words[0] + (f" and {len(words) - 1} more" if len(words) > 1 else "")
+
+
 def sentence(d: Diagnosis) -> str:
     """The diagnosis in one sentence: where, which, how far, how sure."""
     v, s = d.verdict, d.shrinkage
@@ -216,12 +221,13 @@ def sentence(d: Diagnosis) -> str:
         but = f" but for a few points, which make {gap} where noise makes {100 * d.noise_floor:.2g} %"
         if d.datasheet_off:
             to = f" to {gap}, which is noise"
-            off = d.datasheet_off[0] + (f" and {len(d.datasheet_off) - 1} more" if len(d.datasheet_off) > 1 else "")
             return (
-                f"No effect is missing ({sure}), but the datasheet is off beyond its tolerances ({off}): with those "
-                f"values the twin explains the rig{but if few else to}."
+                f"No effect is missing ({sure}), but the datasheet is off beyond its tolerances "
+                f"({_and_more(d.datasheet_off)}): with those values the twin explains the rig{but if few else to}."
             )
         to = f" to {gap}, which is noise and the datasheet's tolerances"
+        if d.beyond_tolerance:
+            to += f", stretched ({_and_more(d.beyond_tolerance)})"
         return f"No gap ({sure}): the twin explains the rig{but if few else to}."
     if not v.settled:
         return f"Nothing can be said of the gap: {v.reasons[0]}."

@@ -187,6 +187,20 @@ def test_what_fits_as_well_but_is_far_less_likely_is_told_as_that(behind: float,
     assert ("not told apart" in words) == (behind < ALIKE_LOG_EVIDENCE)
 
 
+@pytest.mark.parametrize(
+    ("stretched", "told"),
+    [
+        ((), "noise and the datasheet's tolerances."),
+        (("mass -2 %",), "tolerances, stretched (mass -2 %)."),
+        (("mass -2 %", "mode1 damping x +50 %"), "stretched (mass -2 % and 1 more)."),
+    ],
+)
+def test_no_gap_is_not_told_to_lie_within_tolerances_that_are_stretched(stretched: tuple[str, ...], told: str) -> None:
+    shown = {"verdict": Verdict("no_gap", (), (), 0.9, ()), "gap_before": 1e-3, "noise_floor": 1e-3}
+    d = SimpleNamespace(**shown, shrinkage=None, datasheet_off=(), beyond_tolerance=stretched)
+    assert sentence(d).endswith(told)
+
+
 def test_what_another_part_would_explain_as_well_is_in_the_class_and_shares_its_probability() -> None:
     best, other = explanation(("sensor_gain",), -50.0, 0.0, (0.0,)), explanation(("loop_delay",), -52.0, 0.0, (0.0,))
     alone = decide([best, PLAIN], 2.0, NOT_SHOWN, significant=50.0)
