@@ -23,7 +23,7 @@ from service.gap.measured.settling import UNSETTLED
 from service.gap.weighing.another_rig import drawn_by_its_law, far_off, free_body, with_datasheet_off
 from service.gap.weighing.significance import alone_hz, overall, significance
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, SURE_OF_NONE, HeldOut, Verdict, decide
-from service.gap.which.explained import Explained
+from service.gap.which.explained import Explained, gap_significance
 from service.gap.which.held_out import between_lines, held_out, on_sweep
 from service.gap.with_interference import with_sources
 from sim.effects import CATALOGUE
@@ -149,7 +149,8 @@ def _verdict_of_part(e: Explained, there: HeldOut, unseen: Observation) -> Verdi
     plain = on_sweep(e, e.null.candidate, unseen)
     significant = max(e.significance, significance(plain[1], plain[0]))
     added_up = (max(map(overall, e.plain)), overall(plain[1]))
-    verdict = decide(e.order, e.remaining, there, significant, e.elsewhere, added_up)
+    at_few_lines = min(e.significance, gap_significance([plain[1]], [plain[0]]))
+    verdict = decide(e.order, e.remaining, there, significant, e.elsewhere, added_up, at_few_lines)
     return _doubted(e, verdict, plain, unseen, there)
 
 

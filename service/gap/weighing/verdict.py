@@ -175,6 +175,7 @@ def decide(
     significant: float,
     elsewhere: Sequence[Ranked] = (),
     added_up: tuple[float, float] = (0.0, 0.0),
+    at_few_lines: float = 0.0,
 ) -> Verdict:
     """Verdict on one part of the loop, from its ranked explanations.
 
@@ -185,10 +186,11 @@ def decide(
     significant : significance of the plain twin's gap on the sweeps fitted and unseen
     elsewhere : explanations of the part's gap by an effect of another part
     added_up : significance of all of the plain twin's residuals together, on the sweeps fitted and unseen
+    at_few_lines : significance of its gap on a sweep fitted and on the unseen one each, every value counted in full
     """
     best = order[0]
     if not best.candidate.effects:
-        return _without_effect(best, min(remaining, significant), added_up)
+        return _without_effect(best, max(min(remaining, significant), at_few_lines), added_up)
     words = " and ".join(map(in_words, best.candidate.effects))
     if (share := _share_too_much(best, remaining, there)) is not None:
         reason = f"the best explanation, {words}, leaves {100 * share:.0f} % of the gap"
@@ -211,7 +213,8 @@ def decide(
 def _without_effect(null: Ranked, remaining: float, added_up: tuple[float, float]) -> Verdict:
     """The verdict where the plain twin is the best explanation: no gap, or one that no effect explains.
 
-    There is one where a band or channel shows it, or all residuals together do, on fitted and on unseen data each.
+    There is one where a band or channel shows it, or all residuals together do, on fitted and on unseen data each. What
+    stands out in a few lines of both is no outlier.
     """
     if rejected(null, remaining) or min(added_up) > LEAVES:
         reason = "no effect of the catalogue explains any of the gap"

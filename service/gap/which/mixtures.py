@@ -25,7 +25,7 @@ from service.gap.weighing.verdict import (
     leaves_an_error_of_a_bending_law,
 )
 from service.gap.which.accepted_instead import DEMOTED
-from service.gap.which.one_more_effect import residuals, rough_beside, task_beside
+from service.gap.which.one_more_effect import residuals, rough_beside, rough_stages, task_beside
 from service.gap.which.optional_parameters import with_all_parameters
 from service.gap.which.refits import LOST_COST, best_of_each, better_without_one_effect, cost, exact_tasks, refitted
 from sim.effects import CATALOGUE, aliases
@@ -223,6 +223,12 @@ def _larger(order: Sequence[Ranked], extension: Extension, ground: Ground) -> It
         yield task
         if (with_more_parameters := with_all_parameters(task)) is not None:
             yield with_more_parameters
+    # what explains most of the gap by itself, too, is nearer to where both are in its own fit
+    for r in order:
+        alone = r.candidate
+        if len(alone.effects) == 1 and alone.effects[0] in extension.beside and r.unexplained < MOST:
+            values, stages = (*best.fit.values, *alone.fit.values), (*rough_stages(ground), PROBE)
+            yield Task(ground, (*best.effects, *alone.effects), (values,), alone.fit.theta, stages)
     if not extension.pairs:
         return
     singles = [r.candidate for r in order if len(r.candidate.effects) == 1][:PAIRED]

@@ -106,6 +106,12 @@ def test_a_little_left_everywhere_is_a_gap_where_unseen_data_show_it_too(
     assert decide([PLAIN], 4.0, NOT_SHOWN, significant=4.0, added_up=(fitted, unseen)).kind == said_of_it
 
 
+def test_what_stands_out_in_a_few_lines_of_both_sweeps_is_a_gap() -> None:
+    """Bounded, as outliers are, it looked like 5 deviates: a voltage that the coil's flux induced in its sensor."""
+    assert decide([PLAIN], 5.8, NOT_SHOWN, significant=15.0).kind == "no_gap"
+    assert decide([PLAIN], 5.8, NOT_SHOWN, significant=15.0, at_few_lines=15.0).kind == "none_of_these"
+
+
 NAMED = explanation(("sensor_gain",), 0.0, 0.1, (0.1, 0.0))
 
 

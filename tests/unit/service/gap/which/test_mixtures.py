@@ -1,5 +1,6 @@
 """Two effects of one part of the loop: both are named, whatever each of them explains alone."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,13 @@ from service.gap.fitting.unknowns import TOLERANCE_BOUND
 from service.gap.weighing.alike import ALIKE_LOG_EVIDENCE
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.verdict import MIXTURE_SHARE
-from service.gap.which.mixtures import needs_all_effects, refitted_in_turn, without_superfluous
+from service.gap.which.mixtures import (
+    Extension,
+    needs_all_effects,
+    refitted_in_turn,
+    with_one_more,
+    without_superfluous,
+)
 from service.gap.which.refits import best_of_each, cost
 from sim.reference import reference_rig
 from sim.twin import with_effects
@@ -275,6 +282,30 @@ def test_an_effect_that_was_found_first_is_looked_for_anew_beside_the_second() -
     assert cost(better) < 0.9 * cost(stuck)
     values = dict(zip(better.effects, better.fit.values, strict=True))
     assert values["magnetic_hysteresis"]["loss_angle_rad"] == pytest.approx(0.007, rel=0.02)
+
+
+def test_beside_an_effect_another_that_explains_most_alone_is_also_fitted_from_where_it_does() -> None:
+    """Saturation and a rotor off its centre: beside the one's values of the datasheet the other's fit was stuck."""
+    datasheet, truth = known_datasheet(seed=90)
+    both = {"magnetic_saturation": {"saturation_inverse_per_a": 0.12}, AWAY: {"offset_xA_m": 4e-5}}
+    e = plant_of(*one_plane(experiment(with_effects(true_rig(truth), both)), datasheet), most=1)
+    of = {r.candidate.effects: r for r in e.order}
+    base, away, fewer = of["magnetic_saturation",], of[AWAY,], of[()]
+    assert np.abs(away.candidate.fit.theta - base.candidate.fit.theta).max() > 0.1
+
+    class Asked(Fitter):
+        def run(self, tasks: Iterable[Task]) -> list[Candidate]:
+            asked.extend(tasks)
+            return []
+
+    for unexplained, more in ((0.3, 1), (0.7, 0)):
+        asked: list[Task] = []
+        order = [base, replace(away, unexplained=unexplained), fewer]
+        with_one_more(Asked(), e.ground, order, Extension(base, (AWAY,), False), [base.candidate, away.candidate])
+        theirs = [t for t in asked if len(t.effects) == 2 and np.array_equal(t.theta, away.candidate.fit.theta)]
+        assert [task.effects for task in theirs] == [("magnetic_saturation", AWAY)] * more
+        for task in theirs:
+            assert task.all_starts() == ((base.candidate.fit.values[0], away.candidate.fit.values[0]),)
 
 
 def test_an_effect_that_is_likely_but_explains_little_is_named_with_the_one_that_explains_the_rest() -> None:
