@@ -8,6 +8,7 @@ looks like one more mode of the rig, which takes it off again.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -19,13 +20,15 @@ from service.gap.fitting.stage import EXACT
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, noise_levels
 from service.gap.weighing.verdict import MAX_SHARE_LEFT, Verdict
 from service.gap.which.explained import Explained
+from sim.effects import CATALOGUE
 from sim.errors import AmbError
 from sim.rig import FlexibleMode, Rig
 
 MODE = "extra_flexible_mode"
 
-STEP = 0.2
-"""Change of ln of the bias current by which it is first tried, up and down."""
+STEP, SMALL_STEP = 0.2, 0.05
+"""Change of ln of the bias current by which it is first tried, up and down; and, where a nonlinear effect or none is
+named, by which it is tried, too: a sheet's air gap is hardly known better."""
 FARTHEST = math.log(2.5)
 """Change of its ln beyond which a wrong bias current is not looked for."""
 CURVED = 0.05
@@ -42,13 +45,18 @@ def misstated(e: Explained, verdict: Verdict) -> str | None:
     """What the datasheet states wrongly of the plant, in words, where that explains it as well as effects; or None."""
     if e.part.path != "plant" or verdict.kind == "no_gap":
         return None
-    if e.relative_gap < CURVED and (bias := _another_bias(e)):
+    bends = not verdict.effects or any(CATALOGUE[name].nonlinear for name in verdict.effects)
+    if e.relative_gap < CURVED and (bias := _another_bias(e, (STEP, SMALL_STEP) if bends else (STEP,))):
         return bias
     return _absent_mode(e) if MODE in verdict.effects or not verdict.effects else None
 
 
-def _another_bias(e: Explained) -> str | None:
-    """The bias current that explains the plant better than its best effects do, in words; or None."""
+def _another_bias(e: Explained, first: Sequence[float]) -> str | None:
+    """The bias current that explains the plant better than its best effects do, in words; or None.
+
+    ``first`` are the changes of its ln that are tried up and down before it is looked for. One near the datasheet's
+    must lead what effects leave by a clear chi-square: a faint one looks alike.
+    """
     null = e.null.candidate.fit.cost
 
     def cost(by: float) -> float:
@@ -56,14 +64,14 @@ def _another_bias(e: Explained) -> str | None:
         c = _fitted(e, _with_bias(e.ground.nuisance.rig, math.exp(by)))
         return NO_RIG * null if c is None else c.fit.cost
 
-    steps = {by: cost(by) for by in (STEP, -STEP)}
+    steps = {sign * by: cost(sign * by) for by in first for sign in (1, -1)}
     better = min(steps, key=steps.__getitem__)
     if steps[better] > null - TRIED * (null - _noise(e)):
         return None
     bounds = (0.0, FARTHEST) if better > 0 else (-FARTHEST, 0.0)
     found = scipy.optimize.minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": CLOSE})
     by, least = min((float(found.x), float(found.fun)), (better, steps[better]), key=lambda one: one[1])
-    if not _explains(e, least, 0.0):
+    if not _explains(e, least, -CLEAR_CHI_SQUARE if abs(by) < STEP else 0.0):
         return None
     stated = e.ground.nuisance.rig.magnets.bias_current_a
     return (

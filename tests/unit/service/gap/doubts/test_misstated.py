@@ -13,7 +13,7 @@ from service.gap.document import sentence
 from sim.datasheet import Datasheet, Mode
 from sim.rig import Rig
 from sim.twin import with_effects
-from tests.support.synthetic import known_datasheet, sweep, true_rig
+from tests.support.synthetic import experiment, known_datasheet, sweep, true_rig
 from tests.support.two_axes import one_plane
 
 pytestmark = pytest.mark.slow
@@ -51,6 +51,16 @@ def test_a_wrong_bias_current_is_found_and_named_with_its_value() -> None:
     found = float(words.partition("with ")[2].split()[0])
     assert found == pytest.approx(1 / factor, rel=0.1)
     assert "check bias_current_a" in words
+
+
+def test_a_bias_current_that_is_a_few_per_cent_off_is_no_stop() -> None:
+    """Where the rotor swings far: the force law beyond its linear part is another one in a smaller air gap."""
+    datasheet, truth = known_datasheet(seed=95)
+    rig = true_rig(truth)
+    smaller = replace(rig, magnets=replace(rig.magnets, bias_current_a=0.95 * rig.magnets.bias_current_a))
+    d = diagnose(experiment(smaller, amplitude_a=0.45), datasheet)
+    assert d.verdict.misstated
+    assert "with 0.95" in d.verdict.reasons[0]
 
 
 def test_a_mode_that_the_rotor_does_not_have_is_no_extra_mode_of_the_rig() -> None:
