@@ -57,10 +57,11 @@ def with_optional_parameters(fitter: Fitter, ground: Ground, found: Sequence[Can
 def from_the_datasheet(ground: Ground, found: Sequence[Candidate]) -> Iterator[Task]:
     """Tasks to fit dormant parameters where nuisance values had made up for what the basic law lacks.
 
-    These are further off than their tolerances have them then, and the fits of `with_optional_parameters`, which begin
-    with them, may not find back. Linear effects only: what the datasheet's values make of others takes too long.
+    Without logged currents, where those of amplifiers and magnets together make up for much. They are further off than
+    their tolerances have them then, and the fits of `with_optional_parameters`, which begin with them, may not find
+    back. Linear effects only: what the datasheet's values make of others takes too long.
     """
-    for c in found:
+    for c in found if ground.part.from_control else ():
         if c.fit.penalty > len(c.fit.active) and not any(CATALOGUE[name].nonlinear for name in c.effects):
             for task in _tasks(ground, c):
                 yield replace(task, theta=ground.theta, stages=(*rough_stages(ground), EXACT))
