@@ -81,10 +81,8 @@ def unlisted_tone(sources: Sequence[Interference], main: Sweep, other: Sweep, ri
     main, other = usable(main), usable(other)
     if not _in_blocks(main):
         return None
-    here, there = (
-        _Heard.of(s, rig, at_speed(sources, s.speed_rad_s)) if _in_blocks(s) else None for s in (main, other)
-    )
-    assert here is not None
+    here = _Heard.of(main, rig, at_speed(sources, main.speed_rad_s))
+    there = _Heard.of(other, rig, at_speed(sources, other.speed_rad_s)) if _in_blocks(other) else None
     step = resolution_hz(main) / COARSE
     searched = np.arange(resolution_hz(main), here.at_hz.max(initial=0.0), step)
     if not len(searched):
@@ -104,7 +102,8 @@ def _near_lines(here: _Heard, there: _Heard | None, searched: Real, listed: Mask
     best = int(np.argmin(chance))
     if chance[best] + np.log(len(searched)) > np.log(FALSE_ALARM):
         return None
-    if far[listed].min(initial=0.0) < far[best]:  # whose leakage turns alike at whole turns a block from it
+    leaking = listed & (np.abs(searched - searched[best]) < LEAKS * searched[0])  # which is a block's resolution
+    if far[leaking].min(initial=0.0) < far[best]:  # whose leakage turns alike at whole turns a block from it
         return None
     finer = _about(searched, best)
     hz = float(finer[np.argmin(here.log_chance(finer))])
