@@ -5,7 +5,10 @@ from dataclasses import replace
 import pytest
 
 from service.gap.diagnose import diagnose
+from service.gap.diagnosis import Diagnosis
 from service.gap.document import gap_document
+from sim.datasheet import Datasheet
+from sim.rig import Rig
 from sim.twin import with_effects
 from tests.support.synthetic import experiment, known_datasheet, true_rig
 from tests.support.two_axes import one_plane
@@ -88,12 +91,16 @@ def test_amplifiers_that_are_faster_in_y_alone_are_told_with_the_plane() -> None
     assert found["frequency_change"] == pytest.approx(0.115, rel=0.1)
 
 
+def without_currents(datasheet: Datasheet, rig: Rig) -> Diagnosis:
+    e = experiment(rig)
+    return diagnose(replace(e, sweeps=tuple(replace(s, I=None) for s in e.sweeps)), datasheet)
+
+
 def test_magnets_turned_at_one_bearing_are_no_crosstalk_where_no_currents_are_logged() -> None:
     """Crosstalk between the planes, as much one way as the other is against it, looks alike to all that is logged."""
     datasheet, truth = known_datasheet(seed=69)
     values = {"rotation_rad": 0.1, "symmetric_share": 0.01, "turned_whole": 1.0, "end_imbalance": 0.9}
-    e = experiment(with_effects(true_rig(truth), {"magnetic_cross_coupling": values}))
-    d = diagnose(replace(e, sweeps=tuple(replace(s, I=None) for s in e.sweeps)), datasheet)
+    d = without_currents(datasheet, with_effects(true_rig(truth), {"magnetic_cross_coupling": values}))
     assert d.verdict.effects == ("magnetic_cross_coupling",)
     found = d.chosen.fit.values[0]
     assert (found["rotation_rad"], found["end_imbalance"]) == pytest.approx((0.1, 0.9), rel=0.02)
@@ -103,8 +110,7 @@ def test_crosstalk_in_one_plane_is_told_though_the_datasheet_had_made_up_for_it(
     """Without currents, crosstalk of both planes beside values off by tolerances is a valley of its own."""
     datasheet, truth = known_datasheet(seed=77)
     values = {"share_ab": 0.0, "share_ba": 0.015, "share_yx_A": 0.02, "plane_imbalance": 1.0}
-    e = experiment(with_effects(true_rig(truth), {"channel_crosstalk": values}))
-    d = diagnose(replace(e, sweeps=tuple(replace(s, I=None) for s in e.sweeps)), datasheet)
+    d = without_currents(datasheet, with_effects(true_rig(truth), {"channel_crosstalk": values}))
     assert d.verdict.effects == ("channel_crosstalk",)
     found = d.chosen.fit.values[0]
     assert {name: found[name] for name in values} == pytest.approx(values, rel=0.02, abs=2e-4)
