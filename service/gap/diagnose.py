@@ -231,7 +231,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
         yield from unseen_modes(nu.rig, (d.observation, d.held_out))
     if not data.o.together:
         yield from one_point(found.parts, d.held_out, (data.main_name, found.name))
-    if d.beyond_tolerance:
+    if d.beyond_tolerance and not verdict.misstated:  # the wrong value has drawn the others off
         values = values_off(d.beyond_tolerance, leaves_some(verdict, found.parts))
         yield f"the datasheet is off beyond its tolerances: {values}"
     if d.within_the_datasheet and (off := nu.far_off(d.null.fit.theta, OFF_TOLERANCES)):

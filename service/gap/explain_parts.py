@@ -83,8 +83,15 @@ def _left_out(found: PartsInTurn) -> tuple[str, ...]:
 
 
 def _decided(e: Explained) -> bool:
-    """Whether more data would not help: the main sweep rejects its best explanation, or is of another rig."""
-    return rejected(e.order[0], e.remaining) or hopeless(e.ground, (r.candidate.fit for r in e.order))
+    """Whether more data would not help: the main sweep rejects its best explanation, or is of another rig.
+
+    Also where the datasheet has modes in the wrong place, beside which any explanation fails elsewhere.
+    """
+    return (
+        e.moved is not None
+        or rejected(e.order[0], e.remaining)
+        or hopeless(e.ground, (r.candidate.fit for r in e.order))
+    )
 
 
 def is_of_other_sweep(e: Explained, unseen: Observation) -> bool:

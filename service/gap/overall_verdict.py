@@ -168,7 +168,7 @@ def _doubted(e: Explained, verdict: Verdict, plain: Seen, unseen: Observation, t
 
     ``plain`` is the unseen sweep with the plain twin's residuals, ``there`` how the explanation fares on it.
     """
-    if wrong := misstated(e, verdict):
+    if wrong := misstated(e, verdict, unseen):
         return Verdict("none_of_these", (), (), SURE_OF_NONE, (wrong,), misstated=True)
     explained = bool(verdict.effects)
     no_hysteresis = lag_missing(e) if explained else None

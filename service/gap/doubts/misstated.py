@@ -1,28 +1,31 @@
 """Whether a value of the datasheet that no tolerance covers explains the plant, where it is another.
 
 The bias current sets the air gap, and with it all of the force law beyond its linear part: where it is wrong, a rotor
-that swings far seems to saturate, to drift or to touch something. A mode that the datasheet has and the rotor has not
-looks like one more mode of the rig, which takes it off again.
+that swings far seems to saturate, to drift or to touch something. A mode that the datasheet has elsewhere than the
+rotor, or that the rotor has not at all, looks like one more mode of the rig, which takes it off again.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import scipy
 
-from service.gap.fitting.candidates import Candidate, Task, fit_task
-from service.gap.fitting.stage import EXACT
+from service.gap.fitting.candidates import Candidate
+from service.gap.measured.observation import Observation
 from service.gap.weighing.ranking import CLEAR_CHI_SQUARE, noise_levels
-from service.gap.weighing.verdict import MAX_SHARE_LEFT, Verdict
+from service.gap.weighing.shrinkage import closure_of
+from service.gap.weighing.significance import mean_power
+from service.gap.weighing.verdict import CLOSES, MAX_SHARE_LEFT, Verdict
 from service.gap.which.explained import Explained
+from service.gap.which.held_out import on_sweep
+from service.gap.which.moved_modes import mean_hz, plain_twin_of, without_mode
+from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
-from sim.errors import AmbError
-from sim.rig import FlexibleMode, Rig
+from sim.rig import Rig
 
 MODE = "extra_flexible_mode"
 
@@ -41,14 +44,38 @@ NO_RIG = 10.0
 """Times the plain twin's cost that a bias counts as with which there is no rig."""
 
 
-def misstated(e: Explained, verdict: Verdict) -> str | None:
+def misstated(e: Explained, verdict: Verdict, unseen: Observation) -> str | None:
     """What the datasheet states wrongly of the plant, in words, where that explains it as well as effects; or None."""
     if e.part.path != "plant" or verdict.kind == "no_gap":
         return None
+    if elsewhere := _modes_elsewhere(e, unseen):
+        return elsewhere
     bends = not verdict.effects or any(CATALOGUE[name].nonlinear for name in verdict.effects)
     if e.relative_gap < CURVED and (bias := _another_bias(e, (STEP, SMALL_STEP) if bends else (STEP,))):
         return bias
     return _absent_mode(e) if MODE in verdict.effects or not verdict.effects else None
+
+
+def _modes_elsewhere(e: Explained, unseen: Observation) -> str | None:
+    """The datasheet's modes at other frequencies that explain the plant, on unseen data too, in words; or None."""
+    moved = e.moved
+    if moved is None or not _explains(e, cost(moved.candidate), CLEAR_CHI_SQUARE):
+        return None
+    (_, before), (_, after) = (
+        on_sweep(e, e.null.candidate, unseen),
+        on_sweep(replace(e, ground=moved.ground), moved.candidate, unseen),
+    )
+    closes = closure_of(mean_power(before), mean_power(after))
+    if closes is not None and closes < CLOSES:
+        return None
+    rig = e.ground.nuisance.rig
+    places = [f"{mean_hz(rig, k):.4g} Hz at {moved.hz(k):.4g} Hz" for k in sorted(moved.factors)]
+    modes, their = ("mode", "its") if len(places) == 1 else ("modes", "their")
+    there = "" if closes is None else f", {100 * closes:.0f} % of it on unseen data"
+    return (
+        f"with the datasheet's {modes} of {' and of '.join(places)} the twin explains it{there}: correct {their} "
+        "frequency_hz, or find what has changed the rotor, and diagnose again"
+    )
 
 
 def _another_bias(e: Explained, first: Sequence[float]) -> str | None:
@@ -59,17 +86,17 @@ def _another_bias(e: Explained, first: Sequence[float]) -> str | None:
     """
     null = e.null.candidate.fit.cost
 
-    def cost(by: float) -> float:
+    def cost_with(by: float) -> float:
         """The plain twin's cost with another bias; high where there is no such rig."""
         c = _fitted(e, _with_bias(e.ground.nuisance.rig, math.exp(by)))
         return NO_RIG * null if c is None else c.fit.cost
 
-    steps = {sign * by: cost(sign * by) for by in first for sign in (1, -1)}
+    steps = {sign * by: cost_with(sign * by) for by in first for sign in (1, -1)}
     better = min(steps, key=steps.__getitem__)
     if steps[better] > null - TRIED * (null - _noise(e)):
         return None
     bounds = (0.0, FARTHEST) if better > 0 else (-FARTHEST, 0.0)
-    found = scipy.optimize.minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": CLOSE})
+    found = scipy.optimize.minimize_scalar(cost_with, bounds=bounds, method="bounded", options={"xatol": CLOSE})
     by, least = min((float(found.x), float(found.fun)), (better, steps[better]), key=lambda one: one[1])
     if not _explains(e, least, -CLEAR_CHI_SQUARE if abs(by) < STEP else 0.0):
         return None
@@ -83,17 +110,16 @@ def _another_bias(e: Explained, first: Sequence[float]) -> str | None:
 def _absent_mode(e: Explained) -> str | None:
     """The mode of the datasheet without which the twin explains the plant, in words; or None."""
     rig = e.ground.nuisance.rig
-    without = {k: _fitted(e, _muted(rig, k)) for k in range(e.ground.nuisance.n_modes)}
+    without = {k: _fitted(e, without_mode(rig, k)) for k in range(e.ground.nuisance.n_modes)}
     costs = {k: c.fit.cost for k, c in without.items() if c is not None}
     if not costs:
         return None
     k = min(costs, key=costs.__getitem__)
     if not _explains(e, costs[k], CLEAR_CHI_SQUARE):
         return None
-    hz = rig.rotor.modes[0][k].natural_frequency_rad_s / (2 * math.pi)
     return (
-        f"without the datasheet's mode at {hz:.4g} Hz the twin explains it: the rotor does not show that mode; take it "
-        "out of the datasheet, or measure where it is, and diagnose again"
+        f"without the datasheet's mode at {mean_hz(rig, k):.4g} Hz the twin explains it: the rotor does not show that "
+        "mode; take it out of the datasheet, or measure where it is, and diagnose again"
     )
 
 
@@ -110,24 +136,11 @@ def _noise(e: Explained) -> float:
 
 def _fitted(e: Explained, rig: Rig) -> Candidate | None:
     """The plain twin fitted with another rig as its datasheet's; None where it is none that can be computed."""
-    ground = replace(e.ground, nuisance=replace(e.ground.nuisance, rig=rig))
-    with suppress(AmbError, np.linalg.LinAlgError):
-        return fit_task(Task(ground, (), ((),), e.null.candidate.fit.theta, (EXACT,)))
-    return None
+    return plain_twin_of(e.ground, rig, e.null.candidate)
 
 
 def _with_bias(rig: Rig, factor: float) -> Rig:
     return replace(rig, magnets=replace(rig.magnets, bias_current_a=factor * rig.magnets.bias_current_a))
-
-
-def _muted(rig: Rig, mode: int) -> Rig:
-    """The rig whose magnets do not excite a mode, and whose sensors do not see it."""
-
-    def quiet(m: FlexibleMode) -> FlexibleMode:
-        return replace(m, shape_at_bearings=(0.0, 0.0), shape_at_sensors=(0.0, 0.0))
-
-    planes = (tuple(quiet(m) if k == mode else m for k, m in enumerate(plane)) for plane in rig.rotor.modes)
-    return replace(rig, rotor=replace(rig.rotor, modes=tuple(planes)))
 
 
 def _amperes(currents: np.ndarray) -> str:

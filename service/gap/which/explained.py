@@ -16,6 +16,7 @@ from service.gap.measured.observation import Observation
 from service.gap.weighing.ranking import Ranked
 from service.gap.weighing.significance import significance
 from service.gap.which.curvature import Curvature, curvatures
+from service.gap.which.moved_modes import MovedModes
 
 Complex = NDArray[np.complex128]
 
@@ -34,6 +35,8 @@ class Explained:
     elsewhere: tuple[Ranked, ...] = ()
     """effects of another part that would explain this part's gap about as well; their log evidence is comparable with
     that of ``order``"""
+    moved: MovedModes | None = None
+    """the twin with modes of the datasheet elsewhere, where that explains as much as the best effects do"""
 
     @property
     def part(self) -> Part:

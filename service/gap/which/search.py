@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from service.gap.which.mixtures import (
     with_one_more,
     without_superfluous,
 )
+from service.gap.which.moved_modes import MovedModes, moved_modes
 from service.gap.which.one_more_effect import residuals, rough_stages
 from service.gap.which.optional_parameters import (
     from_the_datasheet,
@@ -106,8 +108,9 @@ def explain(
     """
     null, plain = plain_fit or plain_twin(fitter, ground)
     search = _Search(fitter, ground, null, plain)
+    elsewhere = fitter.beside(partial(moved_modes, ground, null))
     search.single_effects(before)
-    if most > 1 and not search.curved():
+    if most > 1 and not search.curved() and not search.modes_are(elsewhere()):
         search.add_wider_laws(search.found)
         search.add_mixtures(most)
     search.add_lag_of_displacement()
@@ -116,7 +119,9 @@ def explain(
     order = accepted_instead(order, fitted.remaining)
     # the simpler law's chi-square differs so little that evidence and shares are kept
     order[0] = replace(order[0], candidate=plainer_law(fitter, ground, order[0].candidate))
-    return Explained(ground, tuple(order), search.plain, residuals(ground, order[0].candidate))
+    return Explained(
+        ground, tuple(order), search.plain, residuals(ground, order[0].candidate), moved=search.moved_modes
+    )
 
 
 @dataclass
@@ -134,6 +139,8 @@ class _Search:
     """candidates found and the plain twin, by falling evidence"""
     widest: Candidate | None = None
     """the best mixture once its wider laws had been looked for"""
+    moved_modes: MovedModes | None = None
+    """the twin with modes of the datasheet elsewhere, where that explains as much as single effects do"""
 
     def single_effects(self, before: Explained | None) -> None:
         """Fit every effect of the part alone; ``before`` is the result on fewer sweeps."""
@@ -162,6 +169,21 @@ class _Search:
         excess = cost(self.null) - sum(noise_levels(self.null, [r.candidate for r in self.order]))
         by_effects = cost(self.null) - min(cost(r.candidate) for r in self.order)
         return explained > max(by_effects, (1 - MAX_SHARE_LEFT) * excess)
+
+    def modes_are(self, elsewhere: MovedModes | None) -> bool:
+        """Whether the datasheet's modes at other frequencies explain most of the gap, and as much as any effect does.
+
+        No mixtures then: they would put modes beside those that are in the wrong place.
+        """
+        noise = sum(noise_levels(self.null, [r.candidate for r in self.order]))
+        excess = cost(self.null) - noise
+        if elsewhere is None:
+            return False
+        most_left = cost(self.null) - (1 - MAX_SHARE_LEFT) * excess
+        if cost(elsewhere.candidate) > min(most_left, *(cost(r.candidate) for r in self.order)):
+            return False
+        self.moved_modes = elsewhere
+        return True
 
     def add_wider_laws(self, of: Sequence[Candidate]) -> None:
         """Add wider laws of some of the explanations, where the best one leaves too much.

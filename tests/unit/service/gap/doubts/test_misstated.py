@@ -70,6 +70,40 @@ def test_a_mode_that_the_rotor_does_not_have_is_no_extra_mode_of_the_rig() -> No
     assert "without the datasheet's mode at 300 Hz" in words
 
 
+@pytest.mark.parametrize("factors", [(0.93, 1.0), (1.0, 1.25), (1.04, 1.05)], ids=["first", "second", "both"])
+def test_modes_at_other_frequencies_than_stated_are_found_and_named(factors: tuple[float, ...]) -> None:
+    """As where frequencies were computed, with the tolerance of measured ones: no effect moves a mode."""
+    modes = [replace(m, frequency_hz=f * m.frequency_hz) for m, f in zip(SHEET.modes, factors, strict=True)]
+    rig = true_rig(TRUTH)
+    words, effects, wrong = told(rig, replace(SHEET, modes=tuple(modes)))
+    assert wrong
+    assert not effects
+    for stated, factor, true in zip(modes, factors, rig.rotor.modes[0], strict=True):
+        if factor != 1.0:
+            told_hz = float(words.partition(f"{stated.frequency_hz:.4g} Hz at ")[2].split()[0])
+            assert told_hz == pytest.approx(true.natural_frequency_rad_s / (2 * np.pi), rel=2e-3)
+        else:
+            assert f"{stated.frequency_hz:.4g} Hz" not in words
+
+
+def test_a_mode_that_changes_with_its_swing_is_not_told_as_one_elsewhere() -> None:
+    """At the louder sweep its frequency would be another again."""
+    rig = true_rig(TRUTH)
+    hz = np.geomspace(12.0, 800.0, 24), np.geomspace(15.0, 700.0, 16)
+
+    def softened(by: float) -> Rig:
+        planes = tuple(
+            tuple(replace(m, natural_frequency_rad_s=by * m.natural_frequency_rad_s) for m in plane)
+            for plane in rig.rotor.modes
+        )
+        return replace(rig, rotor=replace(rig.rotor, modes=planes))
+
+    sweeps = [sweep(softened(by), f, 0.4 * k, k) for by, k, f in zip((0.95, 0.9), (1, 2), hz, strict=True)]
+    d = diagnose(*one_plane(Experiment(rig.name, rig.axes, tuple(sweeps)), SHEET))
+    assert not d.verdict.misstated
+    assert d.verdict.kind == "none_of_these"
+
+
 @pytest.mark.parametrize(
     "there",
     [
