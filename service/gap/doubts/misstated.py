@@ -1,8 +1,9 @@
-"""Whether a value of the datasheet that no tolerance covers explains the plant, where it is another.
+"""Whether a value of the datasheet that no tolerance covers explains a part of the loop, where it is another.
 
 The bias current sets the air gap, and with it all of the force law beyond its linear part: where it is wrong, a rotor
 that swings far seems to saturate, to drift or to touch something. A mode that the datasheet has elsewhere than the
-rotor, or that the rotor has not at all, looks like one more mode of the rig, which takes it off again.
+rotor, or that the rotor has not at all, looks like one more mode of the rig, which takes it off again. And a loop that
+is faster than its stated computing delay would have an effect of less than nothing.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from service.gap.weighing.significance import mean_power
 from service.gap.weighing.verdict import CLOSES, MAX_SHARE_LEFT, Verdict
 from service.gap.which.explained import Explained
 from service.gap.which.held_out import on_sweep
-from service.gap.which.moved_modes import mean_hz, plain_twin_of, without_mode
+from service.gap.which.moved_modes import mean_hz, twin_of, without_mode
 from service.gap.which.refits import cost
 from sim.effects import CATALOGUE
 from sim.rig import Rig
 
-MODE = "extra_flexible_mode"
+MODE, DELAY = "extra_flexible_mode", "loop_delay"
 
 STEP, SMALL_STEP = 0.2, 0.05
 """Change of ln of the bias current by which it is first tried, up and down; and, where a nonlinear effect or none is
@@ -39,14 +40,20 @@ CURVED = 0.05
 TRIED = 0.3
 """Share of the plant's excess that one step of the bias must take off for its value to be looked for."""
 CLOSE = 0.01
-"""Change of its ln to which it is found: the air gap is hardly known better."""
+"""Change of its ln to which it is found: the air gap is hardly known better. Likewise of a computing delay."""
+SHORTER = (0.1, 0.7)
+"""Shares of the stated computing delay from which a shorter one is fitted."""
 NO_RIG = 10.0
 """Times the plain twin's cost that a bias counts as with which there is no rig."""
 
 
 def misstated(e: Explained, verdict: Verdict, unseen: Observation) -> str | None:
-    """What the datasheet states wrongly of the plant, in words, where that explains it as well as effects; or None."""
-    if e.part.path != "plant" or verdict.kind == "no_gap":
+    """What the datasheet states wrongly of a part, in words, where that explains it as well as effects; or None."""
+    if verdict.kind == "no_gap":
+        return None
+    if (e.part.path == "amplifier" or e.part.from_control) and (faster := _less_delay(e)):
+        return faster
+    if e.part.path != "plant":
         return None
     if elsewhere := _modes_elsewhere(e, unseen):
         return elsewhere
@@ -75,6 +82,25 @@ def _modes_elsewhere(e: Explained, unseen: Observation) -> str | None:
     return (
         f"with the datasheet's {modes} of {' and of '.join(places)} the twin explains it{there}: correct {their} "
         "frequency_hz, or find what has changed the rotor, and diagnose again"
+    )
+
+
+def _less_delay(e: Explained) -> str | None:
+    """The computing delay, shorter than stated, that explains the amplifiers, in words; or None."""
+    rig, start = e.ground.nuisance.rig, CATALOGUE[DELAY].null()
+    stated_s = rig.controller.computing_delay_s
+    undelayed = replace(rig, controller=replace(rig.controller, computing_delay_s=0.0))
+    starts = tuple(({**start, "delay_s": share * stated_s},) for share in SHORTER)
+    c = twin_of(e.ground, undelayed, e.null.candidate.fit.theta, effects=(DELAY,), starts=starts)
+    if c is None or not _explains(e, c.fit.cost, 0.0):
+        return None
+    delay_s = c.fit.values[0]["delay_s"]
+    if delay_s > (1 - CLOSE) * stated_s:
+        return None
+    found, stated = (f"{round(1e6 * s, 1):g} us" for s in (delay_s, stated_s))
+    return (
+        f"with a computing delay of {found} instead of the datasheet's {stated} the twin explains it: correct "
+        "computing_delay_s, and diagnose again"
     )
 
 
@@ -136,7 +162,7 @@ def _noise(e: Explained) -> float:
 
 def _fitted(e: Explained, rig: Rig) -> Candidate | None:
     """The plain twin fitted with another rig as its datasheet's; None where it is none that can be computed."""
-    return plain_twin_of(e.ground, rig, e.null.candidate)
+    return twin_of(e.ground, rig, e.null.candidate.fit.theta)
 
 
 def _with_bias(rig: Rig, factor: float) -> Rig:

@@ -13,11 +13,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.gap.fitting.candidates import Candidate, Task, fit_task
+from service.gap.fitting.candidates import Candidate, Starts, Task, fit_task
 from service.gap.fitting.part import Ground
 from service.gap.fitting.predict import displacement, measured_signal, weight
-from service.gap.fitting.stage import EXACT
+from service.gap.fitting.stage import EXACT, Stage
 from service.gap.fitting.starts.resonances import resonances
 from service.gap.fitting.starts.sweep_residuals import SweepResiduals
 from service.gap.fitting.unknowns import TOLERANCE_BOUND
@@ -26,6 +27,8 @@ from service.gap.which.one_more_effect import rough_stages
 from sim.effects import CATALOGUE
 from sim.errors import AmbError
 from sim.rig import FlexibleMode, Rig
+
+Real = NDArray[np.float64]
 
 TAKES_OFF = 0.5
 """Share of what is left of the gap that the move of one more mode must take off."""
@@ -97,7 +100,7 @@ def _from(before: MovedModes, mode: int, by: float, tolerance: float) -> list[Mo
     rig = before.ground.nuisance.rig
     for _ in range(MOVES):
         moved = _changed(rig, mode, _at_frequency(by))
-        c = plain_twin_of(before.ground, moved, before.candidate, rough=True)
+        c = twin_of(before.ground, moved, before.ground.theta, (*rough_stages(before.ground), EXACT))
         if c is None:
             break
         found.append(MovedModes(with_rig(before.ground, moved), c, {**before.factors, mode: by}))
@@ -118,14 +121,17 @@ def _seen_hz(ground: Ground, mode: int) -> float | None:
     return None
 
 
-def plain_twin_of(ground: Ground, rig: Rig, start: Candidate, rough: bool = False) -> Candidate | None:
-    """The plain twin fitted with another rig as its datasheet's; None where it is none that can be computed.
-
-    It begins at the values of ``start``, or, ``rough`` stages first, at those of the ground.
-    """
-    theta, stages = (ground.theta, (*rough_stages(ground), EXACT)) if rough else (start.fit.theta, (EXACT,))
+def twin_of(
+    ground: Ground,
+    rig: Rig,
+    theta: Real,
+    stages: tuple[Stage, ...] = (EXACT,),
+    effects: tuple[str, ...] = (),
+    starts: Starts = ((),),
+) -> Candidate | None:
+    """A twin fitted with another rig as its datasheet's, from ``theta``, (k,); None where there is none to compute."""
     with suppress(AmbError, np.linalg.LinAlgError):
-        return fit_task(Task(with_rig(ground, rig), (), ((),), theta, stages))
+        return fit_task(Task(with_rig(ground, rig), effects, starts, theta, stages))
     return None
 
 

@@ -104,6 +104,22 @@ def test_a_mode_that_changes_with_its_swing_is_not_told_as_one_elsewhere() -> No
     assert d.verdict.kind == "none_of_these"
 
 
+@pytest.mark.parametrize("currents", [True, False])
+def test_a_loop_that_is_faster_than_stated_is_told_with_its_delay(currents: bool) -> None:
+    """Where delays were stated for the worst case: no effect takes a delay off.
+
+    Without currents, 1 % of the amplifiers' frequency is 2 us of their lag.
+    """
+    rig = true_rig(TRUTH)
+    data = measured(replace(rig, controller=replace(rig.controller, computing_delay_s=2e-5)))
+    if not currents:
+        data = replace(data, sweeps=tuple(replace(s, I=None) for s in data.sweeps))
+    d = diagnose(*one_plane(data, replace(SHEET, computing_delay_s=6e-5)))
+    assert d.verdict.misstated
+    told_us = float(sentence(d).partition("a computing delay of ")[2].split()[0])
+    assert told_us == pytest.approx(20.0, abs=0.5 if currents else 3.0)
+
+
 @pytest.mark.parametrize(
     "there",
     [
