@@ -16,7 +16,7 @@ from service.gap.drift_rate import with_drift_rate
 from service.gap.explain_parts import PERCENT_FITTED, Found, explain_parts
 from service.gap.fitting.candidates import Candidate, Fitter
 from service.gap.fitting.predict import at_speed_of
-from service.gap.hints import hints, one_point, unseen_modes, unsettled_lines
+from service.gap.hints import hints, moved_modes_shown, one_point, unseen_modes, unsettled_lines
 from service.gap.interference import Interference, at_speed, measured_by
 from service.gap.loop import loop_of
 from service.gap.lost_loop import LIMIT, LostLoop, with_limit
@@ -225,6 +225,7 @@ def _notes(d: Diagnosis, data: Observed, found: Found) -> Iterator[str]:
         yield data.tone.in_words(nu.rig.axes)
     if verdict.kind == "none_of_these":
         yield from unsettled_lines(found.parts)
+        yield from moved_modes_shown(found.parts) if not verdict.misstated else ()
     else:
         yield from hints(d.chosen, nu.rig, (d.observation, d.held_out), data.polar_inertia_kgm2)
     if verdict.kind == "no_gap":

@@ -184,6 +184,12 @@ def _worst(z: Complex) -> int | None:
     return k if excess[k] > PLAIN and excess[k] > SHARE_OF_ONE_POINT * excess.sum() else None
 
 
+def moved_modes_shown(parts: Sequence[Explained]) -> list[str]:
+    """That the datasheet's modes show elsewhere, beside something else that is not explained."""
+    moved = [e.moved for e in parts if e.moved is not None]
+    return [f"the main sweep shows {modes}: correct frequency_hz, and diagnose again" for modes in moved]
+
+
 def unsettled_lines(parts: Sequence[Explained]) -> list[str]:
     """Lines with most of what the best twin leaves of a part, at which the rig still rang, in words."""
     if not (lines := {hz for e in parts for hz in ringing_lines_hz(e)}):

@@ -75,13 +75,10 @@ def _modes_elsewhere(e: Explained, unseen: Observation) -> str | None:
     closes = closure_of(mean_power(before), mean_power(after))
     if closes is not None and closes < CLOSES:
         return None
-    rig = e.ground.nuisance.rig
-    places = [f"{mean_hz(rig, k):.4g} Hz at {moved.hz(k):.4g} Hz" for k in sorted(moved.factors)]
-    modes, their = ("mode", "its") if len(places) == 1 else ("modes", "their")
     there = "" if closes is None else f", {100 * closes:.0f} % of it on unseen data"
     return (
-        f"with the datasheet's {modes} of {' and of '.join(places)} the twin explains it{there}: correct {their} "
-        "frequency_hz, or find what has changed the rotor, and diagnose again"
+        f"with {moved} the twin explains it{there}: correct frequency_hz, or find what has changed the rotor, and "
+        "diagnose again"
     )
 
 
@@ -89,6 +86,8 @@ def _less_delay(e: Explained) -> str | None:
     """The computing delay, shorter than stated, that explains the amplifiers, in words; or None."""
     rig, start = e.ground.nuisance.rig, CATALOGUE[DELAY].null()
     stated_s = rig.controller.computing_delay_s
+    if stated_s == 0.0:
+        return None
     undelayed = replace(rig, controller=replace(rig.controller, computing_delay_s=0.0))
     starts = tuple(({**start, "delay_s": share * stated_s},) for share in SHORTER)
     c = twin_of(e.ground, undelayed, e.null.candidate.fit.theta, effects=(DELAY,), starts=starts)

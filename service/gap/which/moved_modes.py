@@ -51,9 +51,11 @@ class MovedModes:
     factors: Mapping[int, float] = field(default_factory=dict)
     """by mode, the factor of the frequency that the datasheet states; within its tolerance the fit has moved it on"""
 
-    def hz(self, mode: int) -> float:
-        """Frequency at which a mode was found, Hz, the mean of the planes."""
-        return mean_hz(self.candidate.fit.rig, mode)
+    def __str__(self) -> str:
+        """The modes moved: "the datasheet's mode of 470 Hz at 490 Hz"."""
+        here, found = self.ground.nuisance.rig, self.candidate.fit.rig
+        places = [f"{mean_hz(here, k) / by:.4g} Hz at {mean_hz(found, k):.4g} Hz" for k, by in self.factors.items()]
+        return f"the datasheet's {'modes' if len(places) > 1 else 'mode'} of {' and of '.join(sorted(places))}"
 
 
 def moved_modes(ground: Ground, null: Candidate) -> MovedModes | None:

@@ -86,7 +86,7 @@ def test_modes_at_other_frequencies_than_stated_are_found_and_named(factors: tup
             assert f"{stated.frequency_hz:.4g} Hz" not in words
 
 
-def test_a_mode_that_changes_with_its_swing_is_not_told_as_one_elsewhere() -> None:
+def test_a_mode_that_changes_with_its_swing_is_not_told_as_one_that_is_elsewhere() -> None:
     """At the louder sweep its frequency would be another again."""
     rig = true_rig(TRUTH)
     hz = np.geomspace(12.0, 800.0, 24), np.geomspace(15.0, 700.0, 16)
@@ -102,6 +102,7 @@ def test_a_mode_that_changes_with_its_swing_is_not_told_as_one_elsewhere() -> No
     d = diagnose(*one_plane(Experiment(rig.name, rig.axes, tuple(sweeps)), SHEET))
     assert not d.verdict.misstated
     assert d.verdict.kind == "none_of_these"
+    assert any("the main sweep shows the datasheet's mode" in note for note in d.notes)
 
 
 @pytest.mark.parametrize("currents", [True, False])
